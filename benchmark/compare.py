@@ -21,7 +21,7 @@ from benchmark.intervals import DRAWS, ENDS, SEED, bootstrap_means
 from benchmark.per_query import PerQuery
 from benchmark.protocol import read_protocol
 from benchmark.quantities import Quantity
-from benchmark.report import json_text, table
+from benchmark.report import Grid, json_text
 from benchmark.score import Scores, score
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError, did_you_mean
@@ -230,7 +230,8 @@ def _track_lines(track: str, compared: TrackComparison) -> list[str]:
     if compared.n < compared.queries:
         first += f", of {compared.queries}; A predicts {compared.predicted_a}, B {compared.predicted_b}"
     known = [(each, row) for each in quantities.shown_in("comparison") if (row := compared.differences[each.key])]
-    return [first, *table(HEADINGS, [_cells(quantity, row) for quantity, row in known])] if known else [first]
+    rows = [_cells(quantity, row) for quantity, row in known]
+    return [first, Grid(HEADINGS, rows, [not heading for heading in HEADINGS]).text()] if known else [first]
 
 
 def _cells(quantity: Quantity, row: Difference) -> list[str]:

@@ -1,25 +1,32 @@
-"""Documents with tables of results: what stands between two marks is made from results/ and from scored submissions.
+"""Documents with tables of results: the text between two marks is made from results/ and from scored submissions.
 
 A mark names its table: `<!-- result: NAME TABLE -->` that of results/NAME.json; with `submissions` as NAME one of
-`benchmark.score_tables` or Table I. `<!-- end -->` follows the table. Text outside the marks stays as it is.
+TABLES below, or Table I. `<!-- end -->` follows the table. Text outside the marks stays as it is.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 from benchmark.entries import Entry, read_entries
-from benchmark.measurements import Measurement, Table, read_measurement
-from benchmark.score_tables import score_table
-from benchmark.table1 import as_markdown, markdown_cell, table_of
-from kit1000.errors import InputError
+from benchmark.measurements import Column, Measurement, Table, read_measurement
+from benchmark.quantities import MSSD, POSITION, ROTATION, SEATED, SECONDS, STRICT, Quantity
+from benchmark.table1 import PAPER_ROWS, as_markdown, table_of
+from kit1000.errors import InputError, did_you_mean
 from kit1000.files import write_bytes
+from kit1000.queries.tracks import PAPER_TRACKS, TRACKS
 
 SUBMISSIONS = "submissions"  # the name that stands for scores.json of all of them
 BLOCK = re.compile(r"<!-- result: (?P<words>[^>]+?) -->\n(?P<table>.*?)<!-- end -->", re.DOTALL)
 MARKED = re.compile(r"<!-- (result:[^>]*|end) -->")
+NAMES = (Column("method", "method"), Column("submission", "submission"))
+ERRORS = (POSITION, ROTATION, MSSD)
+SHARES = (SEATED, STRICT)
+COVERAGES = (1.0, 0.9, 0.75, 0.5)  # of queries answered, the most confident first
+WITH_GUESS = PAPER_TRACKS["with user input"]
 
 
 def run(documents: Iterable[Path], results: Path, submissions: Path) -> list[Path]:
@@ -66,19 +73,10 @@ def _table(words: Sequence[str], results: Path, entries: Sequence[Entry]) -> str
         measurement = read_measurement(results / f"{name}.json")
         if table not in measurement.tables:
             raise InputError(f"{name}.json has no table {table!r}; it has {', '.join(measurement.tables)}")
-        return f"{as_table(measurement.tables[table])}\n\n{caption(measurement)}"
+        return f"{measurement.tables[table].markdown()}\n\n{caption(measurement)}"
     if table == "table1":
         return as_markdown(table_of(entries), tracks=False).rstrip("\n")
-    return f"{as_table(score_table(table, entries, others))}\n\n{setting_of(entries)}"
-
-
-def as_table(table: Table) -> str:
-    """A table as Markdown, its title in bold above it."""
-    rule = ["---" if column.decimals is None and column.key != "n" else "---:" for column in table.columns]
-    heads = [column.heading for column in table.columns]
-    rows = [[_cell(text) for text in row] for row in table.cells()]
-    lines = [f"| {' | '.join(row)} |" for row in (heads, rule, *rows)]
-    return "\n".join([f"**{table.title}**", "", *lines])
+    return f"{score_table(table, entries, others).markdown()}\n\n{setting_of(entries)}"
 
 
 def setting_of(entries: Sequence[Entry]) -> str:
@@ -94,6 +92,128 @@ def caption(measurement: Measurement) -> str:
     return f"*Measured {setting['date']}{data} by `{setting['command']}`; {setting['hardware']}.*"
 
 
-def _cell(text: str) -> str:
-    """Code keeps its backticks; all else is escaped."""
-    return text if re.fullmatch(r"`[^`]*`", text) else markdown_cell(text)
+def score_table(name: str, entries: Sequence[Entry], words: Sequence[str]) -> Table:
+    """The table `name` of TABLES. words: first a track where the table is of one, then submissions in their order."""
+    if name not in TABLES:
+        raise InputError(f"no table {name!r} of submissions; {did_you_mean(name, TABLES)}there are {', '.join(TABLES)}")
+    return TABLES[name](entries, list(words))
+
+
+def errors(entries: Sequence[Entry], words: Sequence[str]) -> Table:
+    """Mean and median errors and the shares of parts seated, on one track."""
+    track, *names = words
+    _check_track(track)
+    columns = [*NAMES, Column("n", "n")]
+    for error in ERRORS:
+        columns.append(Column(error.key, f"{error.heading}, mean", error.decimals))
+        if error is not MSSD:
+            columns.append(Column(f"{error.key}_median", "median", error.decimals))
+    columns += [Column(share.key, f"{share.name.lower()}, %", 1, True) for share in SHARES]
+    table = Table(f"errors-{track}", f"Track `{track}`: {TRACKS[track].description.rstrip('.')}", columns)
+    for entry in chosen(entries, names):
+        row = entry.scores["tracks"].get(track)
+        if row is not None:
+            medians = {f"{error.key}_median": error.median(row) for error in ERRORS if error is not MSSD}
+            table.add(**_named(entry), n=row["n"], **{q.key: _stored(q, row) for q in (*ERRORS, *SHARES)}, **medians)
+    return table
+
+
+def seated(entries: Sequence[Entry], words: Sequence[str]) -> Table:
+    """Share of parts seated on every track, one method a row."""
+    columns = [*NAMES, *(Column(track, f"`{track}`", 1, True) for track in TRACKS)]
+    table = Table("seated", "Parts seated, in percent, by track", columns)
+    for entry in chosen(entries, words):
+        tracks = entry.scores["tracks"]
+        table.add(**_named(entry), **{track: _stored(SEATED, tracks[track]) for track in TRACKS if track in tracks})
+    return table
+
+
+def confidence(entries: Sequence[Entry], words: Sequence[str]) -> Table:
+    """Share of parts seated among the most confident predictions, on one track."""
+    track, *names = words
+    _check_track(track)
+    columns = [*NAMES, Column("n", "n"), *(Column(f"at{c}", f"at {100 * c:g} % coverage", 1, True) for c in COVERAGES)]
+    title = f"Track `{track}`: parts seated, in percent, among the most confident predictions"
+    table = Table(f"confidence-{track}", title, columns)
+    for entry in chosen(entries, names):
+        row = entry.scores["tracks"].get(track, {})
+        curve = row.get("risk_coverage")
+        if curve:
+            shares = dict(zip(curve["coverage"], curve["seated"], strict=True))
+            table.add(**_named(entry), n=row["n"], **{f"at{c}": shares[c] for c in COVERAGES})
+    return table
+
+
+def seconds(entries: Sequence[Entry], words: Sequence[str]) -> Table:
+    """Median seconds of a query by track, as the submissions report them."""
+    columns = [*NAMES, *(Column(track, f"`{track}`", 2) for track in TRACKS), Column("hardware", "hardware")]
+    table = Table("seconds", "Median seconds a query, as each submission reports them", columns)
+    for entry in chosen(entries, words):
+        tracks = entry.scores["tracks"]
+        found = {track: SECONDS.median(tracks[track]) for track in TRACKS if track in tracks}
+        table.add(**_named(entry), **found, hardware=entry.manifest.hardware)
+    return table
+
+
+def readme(entries: Sequence[Entry], words: Sequence[str]) -> Table:
+    """The paper's mean errors with a guess beside ours, and the share of parts seated."""
+    heads = [f"{unit}, {of}" for unit in ("mm", "°") for of in ("paper", "here")]
+    keys = ("mm_paper", "mm", "deg_paper", "deg")
+    numbers = [Column(key, head, 2) for key, head in zip(keys, heads, strict=True)]
+    table = Table(
+        "readme", "Mean errors with an initial guess", [*NAMES, *numbers, Column("seated", "seated, %", 1, True)]
+    )
+    for entry in chosen(entries, words):
+        row = entry.scores["tracks"][WITH_GUESS]
+        paper = PAPER_ROWS.get(entry.manifest.paper_row)
+        printed = paper.printed(WITH_GUESS) if paper else (None, None)
+        texts = ["–" if value is None else f"{value:g}" for value in printed]
+        table.add(
+            **_named(entry),
+            mm_paper=texts[0],
+            mm=row["position_mm"]["mean"],
+            deg_paper=texts[1],
+            deg=row["rotation_deg"]["mean"],
+            seated=row["seated"]["rate"],
+        )
+    return table
+
+
+TABLES: dict[str, Callable[[Sequence[Entry], list[str]], Table]] = {
+    "errors": errors,
+    "seated": seated,
+    "confidence": confidence,
+    "seconds": seconds,
+    "readme": readme,
+}
+
+
+def chosen(entries: Sequence[Entry], names: Sequence[str]) -> list[Entry]:
+    """The entries of these names in their order; all without names. A name ending in * stands for all that begin so."""
+    if not names:
+        return list(entries)
+    by_name = {entry.name: entry for entry in entries}
+    found: list[Entry] = []
+    for name in names:
+        own = [e for key, e in by_name.items() if key == name or (name.endswith("*") and key.startswith(name[:-1]))]
+        if not own:
+            raise InputError(
+                f"no scored submission {name!r}; {did_you_mean(name, by_name)}there are {', '.join(by_name)}"
+            )
+        found += [entry for entry in own if entry not in found]
+    return found
+
+
+def _named(entry: Entry) -> dict[str, str]:
+    return {"method": entry.manifest.display_name, "submission": f"`{entry.name}`"}
+
+
+def _stored(quantity: Quantity, row: dict[str, Any]) -> Any:
+    """An estimate as scores.json holds it; None where it was not measured."""
+    stored = row.get(quantity.key)
+    return stored if stored and stored.get("rate" if quantity.rate else "mean") is not None else None
+
+
+def _check_track(track: str) -> None:
+    if track not in TRACKS:
+        raise InputError(f"no track {track!r}; {did_you_mean(track, TRACKS)}there are {', '.join(TRACKS)}")

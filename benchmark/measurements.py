@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from benchmark.intervals import ENDS, bootstrap_means, wilson_interval
 from benchmark.provenance import commit
-from benchmark.report import json_text, table
+from benchmark.report import Grid, json_text
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.files import write_bytes
@@ -83,9 +83,15 @@ class Table:
             raise InputError(f"table {self.name}: there is no column {', '.join(sorted(unknown))}")
         self.rows.append({key: _plain(value) for key, value in values.items()})
 
-    def cells(self) -> list[list[str]]:
+    def grid(self) -> Grid:
         """The rows as shown."""
-        return [[column.text(row.get(column.key)) for column in self.columns] for row in self.rows]
+        cells = [[column.text(row.get(column.key)) for column in self.columns] for row in self.rows]
+        words = [column.decimals is None and column.key != "n" for column in self.columns]
+        return Grid([column.heading for column in self.columns], cells, words)
+
+    def markdown(self) -> str:
+        """The table as Markdown, its title in bold above it."""
+        return f"**{self.title}**\n\n{self.grid().markdown()}"
 
 
 @dataclass
@@ -123,12 +129,7 @@ class Measurement:
 
     def text(self) -> str:
         """The tables for a terminal."""
-        blocks = []
-        for each in self.tables.values():
-            words = [column.heading for column in each.columns if column.decimals is None]
-            lines = table([column.heading for column in each.columns], each.cells(), words)
-            blocks.append("\n".join([each.title, *(f"  {line}" for line in lines)]))
-        return "\n\n".join(blocks)
+        return "\n\n".join(f"{each.title}\n{each.grid().text('  ')}" for each in self.tables.values())
 
     def stored(self) -> dict[str, Any]:
         """The setting, and `tables` by name, as JSON holds them."""

@@ -43,16 +43,17 @@ class ScoredQueries:
     @cached_property
     def targets(self) -> Targets:
         """The goals against which pose errors are measured, (n,)."""
-        return Targets.of(self.truths, self._hull)
+        return Targets.of(self.truths, lambda part_id: hull_points(self.geometry, part_id))
 
-    def _hull(self, part_id: str) -> np.ndarray:
-        """(v, 3) [m] part frame: the vertices of a part's convex hull."""
-        vertices = self.geometry.part(part_id).mesh.vertices
-        return vertices[ConvexHull(vertices).vertices]
+
+def hull_points(geometry: Geometry, part_id: str) -> np.ndarray:
+    """(v, 3) [m] part frame: the vertices of a part's convex hull."""
+    vertices = geometry.part(part_id).mesh.vertices
+    return vertices[ConvexHull(vertices).vertices]
 
 
 def read_queries(dataset: Dataset, split: str, tracks: Collection[str]) -> ScoredQueries:
-    """The queries of some tracks in a split, with their ground truth. Raises InputError when that is not here."""
+    """The queries of some tracks in a split, with their ground truth. Raises InputError if it is absent."""
     rows = [row for row in _read(dataset, split) if row[0] in tracks]
     if not rows:
         raise InputError(f"{dataset.root}: split {split} has no query of {', '.join(sorted(tracks))}")

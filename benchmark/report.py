@@ -1,18 +1,77 @@
-"""Scores as text: the table for a terminal, and scores.json."""
+"""Scores as text: tables for a terminal, as Markdown and as HTML, and the JSON of scores.json."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterable, Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
 from typing import Any
 
 from benchmark import quantities
 from benchmark.quantities import Quantity
 
-WIDTH = 150  # of a line of JSON that holds a whole object or list
-DIGITS = 6  # significant ones of a number
-DECIMALS = 9  # of a number, so that rounding noise of the last bits reads as 0
-NO_VALUE = "-"  # in a table, where nothing was measured
+WIDTH = 150  # characters in a line of JSON that holds a whole object or list
+DIGITS = 6  # significant digits of a number
+DECIMALS = 9  # of a number, so that rounding noise of the last bits is 0
+NO_VALUE = "-"  # in a table for a terminal, if nothing was measured
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A table of text cells. The first `words` columns hold words, the others numbers, which are aligned right."""
+
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    words: int | Sequence[bool] = 1
+    """The number of leading columns with words; or for each column whether it holds words."""
+
+    @property
+    def is_text(self) -> list[bool]:
+        """For each column whether it holds words."""
+        return [i < self.words for i in range(len(self.header))] if isinstance(self.words, int) else list(self.words)
+
+    def text(self, indent: str = "") -> str:
+        """The table for a terminal: two spaces between columns."""
+        cells = [self.header, *self.rows]
+        widths = [max(len(row[i]) for row in cells) for i in range(len(self.header))]
+        lines = []
+        for row in cells:
+            columns = zip(row, widths, self.is_text, strict=True)
+            padded = [cell.ljust(width) if left else cell.rjust(width) for cell, width, left in columns]
+            lines.append(indent + "  ".join(padded).rstrip())
+        return "\n".join(lines)
+
+    def markdown(self) -> str:
+        """The table as Markdown. A cell may hold any character; one that is `code` keeps its backticks."""
+        rule = ["---" if left else "---:" for left in self.is_text]
+        lines = (self.header, rule, *(map(_markdown_cell, row) for row in self.rows))
+        return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+    def html(self, label: str, classes: Sequence[str]) -> str:
+        """The table as HTML in a region that scrolls.
+
+        Args:
+            label: of the region.
+            classes: of the rows; empty for a row without.
+        """
+        kinds = ["" if left else ' class="num"' for left in self.is_text]
+        head = "".join(
+            f'<th scope="col"{kind}>{escape(text)}</th>' for kind, text in zip(kinds, self.header, strict=True)
+        )
+        lines = [f'<div class="scroll" role="region" tabindex="0" aria-label="{escape(label)}">', "<table>"]
+        lines += [f"<thead><tr>{head}</tr></thead>", "<tbody>"]
+        for row, name in zip(self.rows, classes, strict=True):
+            pairs = list(zip(kinds, row, strict=True))
+            cells = "".join(f"<td{kind}>{escape(text)}</td>" for kind, text in pairs[1:])
+            opened = f'<tr class="{name}">' if name else "<tr>"
+            lines.append(f'{opened}<th scope="row">{escape(row[0])}</th>{cells}</tr>')
+        return "\n".join([*lines, "</tbody>", "</table>", "</div>"])
+
+
+def _markdown_cell(text: str) -> str:
+    return text if re.fullmatch(r"`[^`]*`", text) else re.sub(r"[\\|<*_`]", r"\\\g<0>", text)
 
 
 def json_text(value: Any) -> str:
@@ -44,46 +103,48 @@ def _laid_out(value: Any, indent: str) -> str:
     return ends[0] + "\n" + ",\n".join(deeper + row for row in rows) + "\n" + indent + ends[1]
 
 
+def versions_text(setting: Mapping[str, Any]) -> str:
+    """The versions of the metrics: `mssd@v1, position@v1`."""
+    return ", ".join(f"{name}@v{version}" for name, version in sorted(setting["metric_versions"].items()))
+
+
 def score_text(summary: Mapping[str, Any], with_breakdown: bool = False) -> str:
     """The table of a score, below its method, dataset and protocol; on request with its breakdown."""
-    versions = ", ".join(f"{name}@v{version}" for name, version in sorted(summary["metric_versions"].items()))
+    commit = summary["commit"]
     lines = [
         f"{summary['method']}  on {summary['dataset_id']}, split {summary['split']}",
-        f"protocol {summary['protocol']} ({summary['status']}), commit {summary['commit'][:12]}"
-        f"{'-dirty' if summary['commit'].endswith('-dirty') else ''}; {versions}",
+        f"protocol {summary['protocol']} ({summary['status']}), commit {commit[:12]}"
+        f"{'-dirty' if commit.endswith('-dirty') else ''}; {versions_text(summary)}",
         "",
     ]
     if summary["tracks"]:
         shown = quantities.shown_in("text")
-        headings = ["track", "n", "cover %", *(quantity.heading for quantity in shown)]
-        lines += table(headings, [_track_cells(name, row, shown) for name, row in summary["tracks"].items()])
-        lines += [
-            "",
-            "mean [95 % interval]; per cent with Wilson's interval; a missing prediction counts as no motion",
+        header = ["track", "n", "cover %", *(quantity.heading for quantity in shown)]
+        rows = [
+            [name, str(row["n"]), f"{100 * row['coverage']:.1f}", *(_cell(quantity, row) for quantity in shown)]
+            for name, row in summary["tracks"].items()
         ]
+        note = "mean [95 % interval]; per cent with Wilson's interval; a missing prediction counts as no motion"
+        lines += [Grid(header, rows).text(), "", note]
     if summary["curves"] is not None:
         n = sum(row["n"] for rows in summary["curves"].values() for row in rows)
         scenes = f"about the first {summary['curve_scenes']} scenes"
         lines += ["", f"curves: {n} queries {scenes}, see scores.json and `python -m benchmark curves`"]
     for track, groups in summary["breakdown"].items() if with_breakdown else ():
         shown = quantities.shown_in("breakdown")
-        headings = ["", "", "n", *(quantity.heading for quantity in shown)]
-        lines += ["", track, *table(headings, list(_group_cells(groups, shown)))]
+        header = ["", "", "n", *(quantity.heading for quantity in shown)]
+        lines += ["", track, Grid(header, list(_group_rows(groups, shown)), words=2).text()]
     return "\n".join(lines)
 
 
-def _track_cells(name: str, row: Mapping[str, Any], shown: Sequence[Quantity]) -> list[str]:
-    return [name, str(row["n"]), f"{100 * row['coverage']:.1f}", *(_cell(quantity, row) for quantity in shown)]
-
-
-def _group_cells(groups: Mapping[str, Any], shown: Sequence[Quantity]) -> Iterable[list[str]]:
+def _group_rows(groups: Mapping[str, Any], shown: Sequence[Quantity]) -> Iterator[list[str]]:
     for key, named in groups.items():
         for i, (name, row) in enumerate(named.items()):
             yield ["" if i else key, name, str(row["n"]), *(_cell(quantity, row) for quantity in shown)]
 
 
 def _cell(quantity: Quantity, row: Mapping[str, Any]) -> str:
-    """A mean or a rate with its interval; of a quantity that submissions report, the mean alone."""
+    """A mean or a rate with its interval; the mean alone if submissions report the quantity."""
     value, interval = quantity.estimate(row)
     if value is None or interval is None:
         return NO_VALUE
@@ -91,15 +152,3 @@ def _cell(quantity: Quantity, row: Mapping[str, Any]) -> str:
         return f"{value:.3g}"
     low, high = interval
     return f"{quantity.text(value)} [{quantity.text(low)}, {quantity.text(high)}]"
-
-
-def table(headings: Sequence[str], rows: Sequence[Sequence[str]], text: Collection[str] = ("track", "")) -> list[str]:
-    """Lines of a table: columns with the headings `text` aligned left, others right; two spaces between columns."""
-    cells = [list(headings), *map(list, rows)]
-    widths = [max(len(row[i]) for row in cells) for i in range(len(headings))]
-    left = [heading in text for heading in headings]
-    return ["  ".join(map(_padded, row, widths, left)).rstrip() for row in cells]
-
-
-def _padded(text: str, width: int, left: bool) -> str:
-    return text.ljust(width) if left else text.rjust(width)

@@ -6,8 +6,7 @@ follow by label, controls last. The same cells go into Markdown, into the board'
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from html import escape
 from pathlib import Path
@@ -15,13 +14,13 @@ from typing import Any, Literal
 
 from benchmark.entries import Entry, read_entries
 from benchmark.quantities import POSITION, POSITION_PLAIN, ROTATION, ROTATION_PLAIN, Quantity
-from benchmark.report import json_text
+from benchmark.report import Grid, json_text, versions_text
 from kit1000.errors import InputError, did_you_mean
 from kit1000.files import write_own
 from kit1000.queries.tracks import PAPER_TRACKS, TRACKS
 
-NOT_YET = "not yet"  # where no submission is scored
-NO_VALUE = "–"  # where nothing was measured or printed
+NOT_YET = "not yet"  # if no submission is scored
+NO_VALUE = "–"  # if nothing was measured or printed
 
 Pair = tuple[float | None, float | None]
 """Position error in mm and rotation error in degrees, None where the paper prints none."""
@@ -99,16 +98,14 @@ class Table:
 
 
 @dataclass(frozen=True)
-class Grid:
-    """A table of text cells."""
+class Section:
+    """A table of text cells with its heading; the first column holds the method."""
 
     title: str
     description: str
-    headings: tuple[str, ...]
-    """The first is that of the method."""
-    rows: tuple[tuple[str, ...], ...]
-    controls: tuple[bool, ...]
-    """Which rows are controls."""
+    grid: Grid
+    classes: tuple[str, ...]
+    """Class of each row in HTML: control, or none."""
 
 
 def run(submissions: Path, out: Path | None = None) -> None:
@@ -122,14 +119,10 @@ def run(submissions: Path, out: Path | None = None) -> None:
     if out is None:
         print(as_markdown(table), end="")
         return
-    if out.suffix not in (".md", ".json", ".html"):
+    texts = {".md": as_markdown, ".json": lambda table: json_text(asdict(table)), ".html": as_html}
+    if out.suffix not in texts:
         raise InputError(f"--out {out}: expected a name that ends in .md, .json or .html")
-    texts = {
-        ".json": lambda: json_text(asdict(table)),
-        ".html": lambda: as_html(table),
-        ".md": lambda: as_markdown(table),
-    }
-    write_own(out, texts[out.suffix]().encode())
+    write_own(out, texts[out.suffix](table).encode())
 
 
 def read_table(submissions: Path) -> Table:
@@ -175,12 +168,12 @@ def _row(
     return Row(label, kind, entry.name, entry.manifest.camera_set, printed, tracks)
 
 
-def grids(table: Table) -> tuple[Grid, ...]:
+def sections(table: Table) -> tuple[Section, ...]:
     """The paper's table, then one for each track."""
     return (_overview(table), *(_detail(table, track) for track in TRACKS))
 
 
-def _overview(table: Table) -> Grid:
+def _overview(table: Table) -> Section:
     """As in the paper: position and rotation with user input, then without."""
     columns = [(half.split()[0], track, error) for half, track in PAPER_TRACKS.items() for error in PLAIN]
     headings = [f"{half}: {error.unit.symbol}{of}" for half, _, error in columns for of in (", paper", "")]
@@ -189,35 +182,36 @@ def _overview(table: Table) -> Grid:
         [row.label, *(cell for _, track, error in columns for cell in _beside(row, track, error)), row.camera_set or ""]
         for row in shown
     ]
-    return _grid("As in the paper", OVERVIEW, ["Method", *headings, "cameras"], rows, shown)
+    return _section("As in the paper", OVERVIEW, ["Method", *headings, "cameras"], rows, shown)
 
 
 def _beside(row: Row, track: str, error: Quantity) -> tuple[str, str]:
-    """The paper's number and our mean: not yet there, unless the paper lacks the number too."""
+    """The paper's number and our mean, which is not yet there if only the paper has a number."""
     printed = _printed(row, track, error)
     awaited = row.submission is None and printed != NO_VALUE
     return printed, NOT_YET if awaited else _mean(row, track, error)
 
 
-def _detail(table: Table, track: str) -> Grid:
+def _detail(table: Table, track: str) -> Section:
     """All numbers of one track."""
-    headings, rows = ["Method", "n"], [[row.label, _count(row, track)] for row in table.rows]
+    columns: list[tuple[str, Callable[[Row, str, Quantity], str], Quantity]] = []
     for error in PLAIN:
-        unit = error.unit.symbol
-        columns = {f"{unit}, mean": _mean, f"{unit}, plain mean": _plain, f"{unit}, median": _median}
+        of = {"mean": _mean, "plain mean": _plain, "median": _median}
         if track in PAPER_TRACKS.values():
-            columns = {f"{unit}, paper": _printed} | columns
-        headings += columns
-        for cells, row in zip(rows, table.rows, strict=True):
-            cells += [cell(row, track, error) for cell in columns.values()]
-    return _grid(track, TRACKS[track].description, headings, rows, table.rows)
+            of = {"paper": _printed} | of
+        columns += [(f"{error.unit.symbol}, {name}", cell, error) for name, cell in of.items()]
+    headings = ["Method", "n", *(heading for heading, _, _ in columns)]
+    rows = [
+        [row.label, _count(row, track), *(cell(row, track, error) for _, cell, error in columns)] for row in table.rows
+    ]
+    return _section(track, TRACKS[track].description, headings, rows, table.rows)
 
 
-def _grid(
-    title: str, description: str, headings: Sequence[str], cells: Sequence[Sequence[str]], rows: Sequence[Row]
-) -> Grid:
-    controls = tuple(row.kind == "control" for row in rows)
-    return Grid(title, description, tuple(headings), tuple(map(tuple, cells)), controls)
+def _section(
+    title: str, description: str, header: Sequence[str], cells: Sequence[Sequence[str]], rows: Sequence[Row]
+) -> Section:
+    classes = tuple("control" if row.kind == "control" else "" for row in rows)
+    return Section(title, description, Grid(header, cells), classes)
 
 
 def _printed(row: Row, track: str, error: Quantity) -> str:
@@ -258,48 +252,24 @@ def source(table: Table) -> str:
     if table.setting is None:
         return "No submission is scored yet."
     setting = table.setting
-    versions = ", ".join(f"{name}@v{version}" for name, version in sorted(setting["metric_versions"].items()))
     protocol = f"Protocol {setting['protocol']} ({setting['status']})"
-    return f"{protocol}, dataset {setting['dataset_id']}, split {setting['split']}; {versions}."
+    return f"{protocol}, dataset {setting['dataset_id']}, split {setting['split']}; {versions_text(setting)}."
 
 
 def as_markdown(table: Table, tracks: bool = True) -> str:
     """The paper's table and, with `tracks`, that of each track, with notes; one line per row."""
     blocks = [source(table)]
-    for grid in grids(table) if tracks else (_overview(table),):
-        blocks += [f"### {grid.title}", grid.description]
-        rule = ["---", *["---:"] * (len(grid.headings) - 1)]
-        lines = (map(markdown_cell, row) for row in (grid.headings, rule, *grid.rows))
-        blocks.append("\n".join(f"| {' | '.join(line)} |" for line in lines))
+    for section in sections(table) if tracks else (_overview(table),):
+        blocks += [f"### {section.title}", section.description, section.grid.markdown()]
     blocks += ["### Notes", "\n".join(f"- {note}" for note in table.notes)]
     return "\n\n".join(blocks) + "\n"
-
-
-def markdown_cell(text: str) -> str:
-    """The text of a cell: a label may hold any character."""
-    return re.sub(r"[\\|<*_`]", r"\\\g<0>", text)
 
 
 def as_html(table: Table) -> str:
     """The same as a fragment of a page, headings from h3 down."""
     lines = [f'<p class="about">{escape(source(table))}</p>']
-    for grid in grids(table):
-        title = escape(grid.title)
-        lines += [f"<h3>{title}</h3>", f'<p class="about">{escape(grid.description)}</p>']
-        lines += [f'<div class="scroll" role="region" tabindex="0" aria-label="Table I: {title}">', "<table>"]
-        lines.append(f"<thead><tr>{_html_cells('th', grid.headings)}</tr></thead>")
-        lines += ["<tbody>", *map(_html_row, grid.rows, grid.controls), "</tbody>", "</table>", "</div>"]
+    for section in sections(table):
+        lines += [f"<h3>{escape(section.title)}</h3>", f'<p class="about">{escape(section.description)}</p>']
+        lines.append(section.grid.html(f"Table I: {section.title}", section.classes))
     lines += ["<ul>", *(f"<li>{escape(note)}</li>" for note in table.notes), "</ul>"]
     return "\n".join(lines) + "\n"
-
-
-def _html_row(row: Sequence[str], control: bool) -> str:
-    opened = '<tr class="control">' if control else "<tr>"
-    return f'{opened}<th scope="row">{escape(row[0])}</th>{_html_cells("td", row[1:])}</tr>'
-
-
-def _html_cells(tag: Literal["th", "td"], texts: Sequence[str]) -> str:
-    """Cells of a head, the first for text, or the numbers of a row."""
-    heads = ['<th scope="col">', *['<th scope="col" class="num">'] * (len(texts) - 1)]
-    opened = heads if tag == "th" else ['<td class="num">'] * len(texts)
-    return "".join(f"{start}{escape(text)}</{tag}>" for start, text in zip(opened, texts, strict=True))

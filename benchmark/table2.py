@@ -1,9 +1,9 @@
 """Table II: what a whole system reaches, from the image to the part in its slot, stage by stage.
 
-A row of the chain is a submission: which stages of it read the truth is its own business, and its label says so. The
-robot carries out its predictions (`kit1000.planner`), and the seating test judges the same predictions. Where a
-submission finds its masks, the robot can find the part by these too. Components, such as segmentation and completion,
-are measured where they are made; their numbers come as JSON files.
+A row of the chain is a submission; its label says which of its stages read the truth. The robot carries out its
+predictions (`kit1000.planner`), and the seating test evaluates the same predictions. If a submission predicts its
+masks, the robot can find the parts by predicted masks too. Components, such as segmentation and completion, are
+measured by the programs of bench/; their numbers come as JSON files.
 """
 
 from __future__ import annotations
@@ -14,19 +14,20 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from scipy.spatial import ConvexHull
 from tqdm import tqdm
 
-from benchmark.failures import KINDS, SEATS, failure_kinds
 from benchmark.intervals import rate_interval
 from benchmark.measurements import Column, Measurement
-from benchmark.report import json_text
+from benchmark.queries import hull_points
+from benchmark.report import Grid, json_text
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.files import read_json, write_own
-from kit1000.metrics import Targets, pose_errors
+from kit1000.metrics import Targets, pose_errors, seatings
+from kit1000.metrics.pose_errors import nearest_goal_motions
+from kit1000.metrics.seating import GeometrySource
 from kit1000.perception.sensor_facts import AnySensor, sensor_of
-from kit1000.planner.execute import NO_SEAL, NOT_FROM_ABOVE, OUTCOMES, SEATED, PartRun, SceneRun, run_scene
+from kit1000.planner.execute import NO_SEAL, NOT_FROM_ABOVE, SEATED, PartRun, run_scene
 from kit1000.planner.runs import outcome_counts
 from kit1000.pose import Pose
 from kit1000.predictor import resolved
@@ -41,6 +42,12 @@ MaskFinder = Callable[[Query, float, AnySensor], Query]
 """Called with a query, the scale of the dataset's scenes and the sensor: the query with masks from its image alone."""
 TRUTH = "truth"  # label of the row with the true motions
 COMPONENT_KEYS = {"component", "label", "measure", "value", "interval", "n"}
+SEATS, WRONG_PLATE, ROTATION, POSITION = "nothing", "wrong plate", "rotation", "position"
+EITHER, BOTH = "rotation or position", "both"
+KINDS = (SEATS, WRONG_PLATE, ROTATION, POSITION, EITHER, BOTH)
+"""What is wrong with a motion: nothing, it passes the seating test; the part is nearer to another plate than to its
+own; the motion passes with the rotation of the nearest goal; it passes with that goal's position; it passes with either
+of them; it passes with neither alone."""
 
 CHAIN_COLUMNS = (
     Column("row", "chain"),
@@ -70,25 +77,25 @@ PAPER = (  # Table II of "Scene Editing as Teleoperation", arXiv 2110.04450, and
     ("snapping, rotation", "6.0°", "likewise; symmetries are ignored"),
     ("parts seated", "62 %", "from a draft: people at a real robot, ten kits each"),
 )
-"""What the paper prints, and what is to be said about it."""
+"""Measures and values that the paper prints, each with a remark."""
 
 
 @dataclass(frozen=True)
 class ChainRow:
-    """A row of the chain: n queries of one track, carried out by the robot and judged by the seating test."""
+    """A row of the chain: n queries of one track, carried out by the robot and evaluated by the seating test."""
 
     label: str
     n: int
     possible: int
-    """Number of those whose part, moved truly, lies right side up and has a spot for a cup."""
+    """Number of queries whose part the robot can pick: it lies right side up and has a spot for the suction cup."""
     seated: float
     """Share of the possible ones that the robot seats."""
     interval: tuple[float, float]
-    """95 % of it."""
+    """95 % interval of the share."""
     tested: float
     """Share of the possible ones that the seating test passes."""
     agreement: dict[str, int]
-    """Number of picked parts that both seat, the robot alone, the test alone, neither."""
+    """Numbers of picked parts that are seated by robot and test, by the robot alone, by the test alone, by neither."""
     position_mm: float | None
     """Median error of all predictions."""
     rotation_deg: float | None
@@ -97,17 +104,30 @@ class ChainRow:
     outcomes: dict[str, int]
     """Number of queries by outcome."""
     failures: dict[str, int]
-    """Number of the possible ones that the robot does not seat, by what is wrong with the motion (`failure_kinds`)."""
+    """Number of the possible ones that the robot does not seat, by the kind of failure (`failure_kinds`)."""
     against: dict[str, int]
-    """Losses, possible ones that the row before seats and this does not, and wins, the reverse."""
+    """Losses: possible ones that the row before seats and this row does not. Wins: the reverse."""
     queries: list[dict[str, Any]]
-    """Rows of each query: its id, outcome and detail, what is wrong with the motion (nothing where the seating test
-    passes it), and the errors [mm], [degrees]."""
+    """For each query its id, outcome and detail, the kind of failure of the motion, and the errors [mm], [degrees]."""
+
+
+@dataclass(frozen=True)
+class _Task:
+    """The queries of a chain, and how the robot carries them out."""
+
+    dataset: Dataset
+    queries: Sequence[Query]
+    truths: Mapping[str, Truth]
+    """By id of the query."""
+    sensor: str
+    """The sensor by which the robot grasps."""
+    seed: int
+    """Seed of the path planner."""
 
 
 @dataclass(frozen=True)
 class _Case:
-    """A query with its truth, and what became of its prediction."""
+    """A query with its truth, its predicted motion, and the result of the robot."""
 
     query: Query
     truth: Truth
@@ -129,41 +149,36 @@ def chain(
     Args:
         root: dataset folder with ground truth.
         submissions: submission folders or predictions files by label.
-        track: whose queries; their sensor is that by which the robot grasps.
-        split: of the queries.
-        scenes: number of scenes, the first ones; all when None.
-        seed: of the path planner.
-        find_masks: by which the robot finds the part in rows of submissions that state predicted masks; None: by the
-            recorded masks, as in all others.
+        track: track of the queries; the robot grasps by its sensor.
+        split: split of the queries.
+        scenes: number of scenes, the first ones; all if None.
+        seed: seed of the path planner.
+        find_masks: finds the masks for the robot in rows of submissions that state predicted masks; the robot uses the
+            recorded masks if None, and in all other rows.
     """
     if track not in TRACKS:
         raise InputError(f"--track {track}: there are {', '.join(TRACKS)}")
-    dataset = Dataset(root)
-    queries = list(dataset.split(split).queries(track))
-    ids = list(dict.fromkeys(query.scene_id for query in queries))[:scenes]
-    queries = [query for query in queries if query.scene_id in set(ids)]
-    if not queries:
-        raise InputError(f"{root}: no query of track {track} in split {split}")
-    truths = {query.id: dataset.truth_of(query) for query in queries}
-    motions = {TRUTH: {query.id: truths[query.id].goal_drawn for query in queries}}
-    for label, path in submissions.items():
-        motions[label] = _motions_of(Path(path), queries)
-    possible: set[str] = set()
-    before: set[str] = set()
-    rows = []
-    for label, predicted in motions.items():
-        find = (
-            None
-            if label == TRUTH
-            else _mask_finder(dataset, Path(submissions[label]), TRACKS[track].sensor, find_masks)
-        )
-        cases = _execute(dataset, label, queries, truths, predicted, TRACKS[track].sensor, seed, find)
-        if label == TRUTH:
-            possible = {case.query.id for case in cases if case.run.outcome not in (NO_SEAL, NOT_FROM_ABOVE)}
-            before = possible
-        rows.append(_row(dataset, label, cases, possible, before))
+    task = _read_task(Dataset(root), track, split, scenes, seed)
+    predicted = {label: _motions_of(Path(path), task.queries) for label, path in submissions.items()}
+    cases = _execute(task, TRUTH, {query_id: truth.goal_drawn for query_id, truth in task.truths.items()})
+    possible = {case.query.id for case in cases if case.run.outcome not in (NO_SEAL, NOT_FROM_ABOVE)}
+    rows = [_row(task, TRUTH, cases, possible, possible)]
+    for label, motions in predicted.items():
         before = {case.query.id for case in cases if case.run.outcome == SEATED}
+        find = _mask_finder(task, Path(submissions[label]), find_masks)
+        cases = _execute(task, label, motions, find)
+        rows.append(_row(task, label, cases, possible, before))
     return rows
+
+
+def _read_task(dataset: Dataset, track: str, split: str, scenes: int | None, seed: int) -> _Task:
+    queries = list(dataset.split(split).queries(track))
+    kept = set(list(dict.fromkeys(query.scene_id for query in queries))[:scenes])
+    queries = [query for query in queries if query.scene_id in kept]
+    if not queries:
+        raise InputError(f"{dataset.root}: no query of track {track} in split {split}")
+    truths = {query.id: dataset.truth_of(query) for query in queries}
+    return _Task(dataset, queries, truths, TRACKS[track].sensor, seed)
 
 
 def _motions_of(path: Path, queries: Sequence[Query]) -> dict[str, Pose]:
@@ -175,90 +190,115 @@ def _motions_of(path: Path, queries: Sequence[Query]) -> dict[str, Pose]:
     return {i: Pose.identity() if row is None else predictions.motions[row] for i, row in rows.items()}
 
 
-def _mask_finder(dataset: Dataset, path: Path, sensor: str, find: MaskFinder | None) -> Callable[[Query], Query] | None:
-    """How a submission that states predicted masks found them: by the facts of the sensor."""
-    if find is None or not path.is_dir():
+def _mask_finder(task: _Task, path: Path, find: MaskFinder | None) -> Callable[[Query], Query] | None:
+    """Finds masks as a submission that states predicted masks did, by the facts of the sensor; None for others."""
+    if find is None or not path.is_dir() or read_manifest(path / MANIFEST, path).masks != "predicted":
         return None
-    manifest = read_manifest(path / MANIFEST, path)
-    if manifest.masks != "predicted":
-        return None
-    scale = dataset.summary["config"]["scale"]
-    return lambda query: find(query, scale, sensor_of(dataset.summary, sensor, query.scene_id))
+    summary = task.dataset.summary
+    return lambda query: find(query, summary["config"]["scale"], sensor_of(summary, task.sensor, query.scene_id))
 
 
 def _execute(
-    dataset: Dataset,
-    label: str,
-    queries: Sequence[Query],
-    truths: Mapping[str, Truth],
-    motions: Mapping[str, Pose],
-    sensor: str,
-    seed: int,
-    find: Callable[[Query], Query] | None,
+    task: _Task, label: str, motions: Mapping[str, Pose], find: Callable[[Query], Query] | None = None
 ) -> list[_Case]:
     """Let the robot carry out all motions of a row, scene by scene."""
     cases = []
-    for scene_id in tqdm(dict.fromkeys(query.scene_id for query in queries), desc=label, unit="", disable=None):
-        own = {query.part: query for query in queries if query.scene_id == scene_id}
-        scene = dataset.recorded_scene(scene_id, truth=True)
+    for scene_id in tqdm(dict.fromkeys(query.scene_id for query in task.queries), desc=label, unit="", disable=None):
+        own = {query.part: query for query in task.queries if query.scene_id == scene_id}
+        scene = task.dataset.recorded_scene(scene_id, truth=True)
         images = None if find is None else {part: find(query).image for part, query in own.items()}
         moves = {part: motions[query.id] for part, query in own.items()}
-        run: SceneRun = run_scene(scene, moves, sensor, seed, images)
-        for part in run.parts:
-            query = own[part.part]
-            cases.append(_Case(query, truths[query.id], motions[query.id], part))
+        for run in run_scene(scene, moves, task.sensor, task.seed, images).parts:
+            query = own[run.part]
+            cases.append(_Case(query, task.truths[query.id], motions[query.id], run))
     return cases
 
 
-def _row(dataset: Dataset, label: str, cases: Sequence[_Case], possible: set[str], before: set[str]) -> ChainRow:
+def _row(task: _Task, label: str, cases: Sequence[_Case], possible: set[str], before: set[str]) -> ChainRow:
+    """A row of the chain. possible, before: ids of the queries that can be seated, and that the row before seats."""
+    geometry = task.dataset.geometry
     truths, motions = [case.truth for case in cases], Pose.stack([case.motion for case in cases])
-    targets = Targets.of(truths, lambda part_id: _hull(dataset, part_id))
-    errors = pose_errors(motions, targets)
-    kinds = np.array(failure_kinds(motions, truths, targets, dataset.geometry))
-    tested = kinds == SEATS
-    seated = np.array([case.run.outcome == SEATED for case in cases])
+    targets = Targets.of(truths, lambda part_id: hull_points(geometry, part_id))
+    errors, kinds = pose_errors(motions, targets), np.array(failure_kinds(motions, truths, targets, geometry))
+    position_mm, rotation_deg = errors.position * 1e3, np.degrees(errors.rotation)
     among = np.array([case.query.id in possible for case in cases])
     earlier = np.array([case.query.id in before for case in cases])
-    clusters = [case.truth.assembly_id for case in cases if case.query.id in possible]
     picked = np.array([bool(case.run.physics) for case in cases])
+    seated, tested = np.array([case.run.outcome == SEATED for case in cases]), kinds == SEATS
+    clusters = np.array([truth.assembly_id for truth in truths])[among]
     seconds = [case.run.seconds for case in cases if case.run.physics]
     return ChainRow(
-        label,
-        len(cases),
-        int(among.sum()),
-        float(seated[among].mean()) if among.any() else 0.0,
-        rate_interval(seated[among], [clusters]),
-        float(tested[among].mean()) if among.any() else 0.0,
-        _agreement(seated[picked], tested[picked]),
-        float(np.median(errors.position) * 1e3),
-        float(np.degrees(np.median(errors.rotation))),
-        float(np.median(seconds)) if seconds else None,
-        outcome_counts(case.run for case in cases),
-        {kind: int((kinds[among & ~seated] == kind).sum()) for kind in KINDS},
-        {"losses": int((earlier & ~seated)[among].sum()), "wins": int((seated & ~earlier)[among].sum())},
-        [
+        label=label,
+        n=len(cases),
+        possible=int(among.sum()),
+        seated=float(seated[among].mean()) if among.any() else 0.0,
+        interval=rate_interval(seated[among], [clusters]),
+        tested=float(tested[among].mean()) if among.any() else 0.0,
+        agreement=_agreement(seated[picked], tested[picked]),
+        position_mm=float(np.median(errors.position) * 1e3),
+        rotation_deg=float(np.degrees(np.median(errors.rotation))),
+        seconds=float(np.median(seconds)) if seconds else None,
+        outcomes=outcome_counts(case.run for case in cases),
+        failures={kind: int((kinds[among & ~seated] == kind).sum()) for kind in KINDS},
+        against={"losses": int((earlier & ~seated)[among].sum()), "wins": int((seated & ~earlier)[among].sum())},
+        queries=[
             {
                 "query": case.query.id,
                 "outcome": case.run.outcome,
                 "detail": case.run.detail,
-                "motion": str(kind),
-                "position_mm": round(float(position) * 1e3, 3),
-                "rotation_deg": round(float(np.degrees(rotation)), 3),
+                "motion": str(kinds[i]),
+                "position_mm": round(float(position_mm[i]), 3),
+                "rotation_deg": round(float(rotation_deg[i]), 3),
             }
-            for case, kind, position, rotation in zip(cases, kinds, errors.position, errors.rotation, strict=True)
+            for i, case in enumerate(cases)
         ],
     )
 
 
 def _agreement(seated: np.ndarray, tested: np.ndarray) -> dict[str, int]:
-    """How often robot and test, (n,) bool each, say seated."""
-    counts = {"both": seated & tested, "robot alone": seated & ~tested, "test alone": ~seated & tested}
-    return {name: int(which.sum()) for name, which in (counts | {"neither": ~seated & ~tested}).items()}
+    """How often robot and test, (n,) bool each, seat a part."""
+    counts = {
+        "both": seated & tested,
+        "robot alone": seated & ~tested,
+        "test alone": ~seated & tested,
+        "neither": ~seated & ~tested,
+    }
+    return {name: int(which.sum()) for name, which in counts.items()}
 
 
-def _hull(dataset: Dataset, part_id: str) -> np.ndarray:
-    vertices = dataset.geometry.part(part_id).mesh.vertices
-    return vertices[ConvexHull(vertices).vertices]
+def failure_kinds(motions: Pose, truths: Sequence[Truth], targets: Targets, geometry: GeometrySource) -> list[str]:
+    """One of KINDS for each of n motions goal_from_now (n,). targets: those of the same truths."""
+    anchors = targets.anchors
+    goals = nearest_goal_motions(targets, pose_errors(motions, targets))
+    turned = _about(goals, anchors, motions.apply(anchors))
+    shifted = _about(motions, anchors, goals.apply(anchors))
+    passed, with_rotation, with_position = (
+        seatings(tried, truths, geometry).seated for tried in (motions, turned, shifted)
+    )
+    kinds = []
+    for i, truth in enumerate(truths):
+        if passed[i]:
+            kinds.append(SEATS)
+        elif not _is_at_own_plate(motions[i].apply(truth.anchor), truth, geometry):
+            kinds.append(WRONG_PLATE)
+        else:
+            found = {(True, True): EITHER, (True, False): ROTATION, (False, True): POSITION, (False, False): BOTH}
+            kinds.append(found[bool(with_rotation[i]), bool(with_position[i])])
+    return kinds
+
+
+def _about(motions: Pose, points: np.ndarray, images: np.ndarray) -> Pose:
+    """The rotations of motions (n,) with the translations that take points (n, 3) [m] to images (n, 3) [m]."""
+    return Pose(motions.wxyz, images - motions.rotate(points))
+
+
+def _is_at_own_plate(middle: np.ndarray, truth: Truth, geometry: GeometrySource) -> bool:
+    """Whether the middle (3,) [m] of a moved part is nearest to the plate of its own slot."""
+    mounts = geometry.assembly(truth.assembly_id).mounts
+    own = next(i for i, mount in enumerate(mounts) if mount.kit.id == truth.part_id)
+    in_assembly = mounts[own].assembly_from_kit.apply(truth.world_from_kit.inverse().apply(middle))
+    distances = [float(np.sqrt(((mount.assembly_from_kit.xyz - in_assembly) ** 2).sum())) for mount in mounts]
+    return int(np.argmin(distances)) == own
 
 
 def read_components(path: Path) -> list[dict[str, Any]]:
@@ -270,38 +310,10 @@ def read_components(path: Path) -> list[dict[str, Any]]:
     return rows
 
 
-def markdown(rows: Sequence[ChainRow], components: Sequence[Mapping[str, Any]], title: str) -> str:
-    """The table as Markdown: the chain, outcomes, components, and the paper's numbers with what is wrong with them."""
-    lines = [title, "", "| chain | n | possible | seated by the robot | by the test | mm | ° | s a part |"]
-    lines.append("| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |")
-    for row in rows:
-        low, high = row.interval
-        share = f"{100 * row.seated:.1f} % [{100 * low:.0f}, {100 * high:.0f}]"
-        cells = [row.label, row.n, row.possible, share, f"{100 * row.tested:.1f} %", _number(row.position_mm, 2)]
-        lines.append(_line([*cells, _number(row.rotation_deg, 1), _number(row.seconds, 0)]))
-    lines += ["", _line(["outcomes", *OUTCOMES]), _line(["---", *["---:"] * len(OUTCOMES)])]
-    lines += [_line([row.label, *row.outcomes.values()]) for row in rows]
-    for title, counted in (
-        ("robot and test, picked parts", [row.agreement for row in rows]),
-        ("not seated, by what is wrong with the motion", [row.failures for row in rows]),
-        ("against the row before", [row.against for row in rows]),
-    ):
-        lines += ["", _line([title, *counted[0]]), _line(["---", *["---:"] * len(counted[0])])]
-        lines += [_line([row.label, *counts.values()]) for row, counts in zip(rows, counted, strict=True)]
-    if components:
-        lines += ["", "| component | method | measure | value | 95 % | n |", "| --- | --- | --- | ---: | ---: | ---: |"]
-        for part in components:
-            ends = " to ".join(f"{end:g}" for end in part["interval"])
-            keys = ("component", "label", "measure", "value")
-            lines.append(_line([*(part[key] for key in keys), ends, part["n"]]))
-    lines += ["", "| the paper | printed | to be said about it |", "| --- | ---: | --- |", *map(_line, PAPER)]
-    return "\n".join(lines)
-
-
 def measured(
     rows: Sequence[ChainRow], components: Sequence[Mapping[str, Any]], dataset: Dataset, track: str
 ) -> Measurement:
-    """The same tables with their setting, for documents."""
+    """The tables of chain and components with their setting."""
     measurement = Measurement.begin(dataset)
     title = f"Preset {dataset.summary['preset']}, track `{track}`: parts seated by the robot, and by the seating test"
     table = measurement.table("chain", title, *CHAIN_COLUMNS)
@@ -325,14 +337,6 @@ def measured(
     return measurement
 
 
-def _line(cells: Sequence[Any]) -> str:
-    return f"| {' | '.join(map(str, cells))} |"
-
-
-def _number(value: float | None, digits: int) -> str:
-    return "–" if value is None else f"{value:.{digits}f}"
-
-
 def run(
     data: Path,
     submissions: Sequence[Path],
@@ -346,13 +350,16 @@ def run(
     """The table of a dataset and submissions as Markdown, and as JSON in a file `out` if given."""
     labelled = {path.name if path.is_dir() else path.stem: path for path in submissions}
     if len(labelled) < len(submissions) or TRUTH in labelled:
-        raise InputError("submissions: expected names of their own, and none called truth, which is there anyway")
+        raise InputError("submissions: expected different names, and none called truth, which is the first row anyway")
     find_masks = resolved(FIND_MASKS) if masks == "predicted" else None
     rows = chain(data, labelled, track, split, scenes, find_masks=find_masks)
     parts = [] if components is None else read_components(components)
     dataset = Dataset(data)
+    measurement = measured(rows, parts, dataset, track)
     if out is not None:
         details = {"track": track, "split": split, "chain": list(map(asdict, rows)), "components": parts}
-        write_own(out, json_text({**measured(rows, parts, dataset, track).stored(), **details}).encode())
+        write_own(out, json_text({**measurement.stored(), **details}).encode())
     title = f"Preset {dataset.summary['preset']}, dataset {dataset.id}, track {track}, split {split}."
-    return markdown(rows, parts, title)
+    tables = [table.markdown() for table in measurement.tables.values() if table.rows]
+    paper = Grid(("the paper", "printed", "remark"), PAPER, (True, False, True)).markdown()
+    return "\n\n".join([title, *tables, paper])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
-from benchmark.failures import BOTH, EITHER, KINDS, POSITION, ROTATION, SEATS, WRONG_PLATE, failure_kinds
+from benchmark.table2 import BOTH, EITHER, KINDS, POSITION, ROTATION, SEATS, WRONG_PLATE, failure_kinds
 from kit1000.dataset.geometry import Geometry
 from kit1000.dataset.reader import Dataset
 from kit1000.metrics import Targets

@@ -34,7 +34,7 @@ def test_what_is_written_comes_back(tmp_path: Path) -> None:
     measured().write(tmp_path / "m.json")
     back = read_measurement(tmp_path / "m.json")
     assert set(back.setting) == set(SETTING)
-    assert back.tables["errors"].cells() == measured().tables["errors"].cells()
+    assert back.tables["errors"].grid() == measured().tables["errors"].grid()
     back.write(tmp_path / "again.json")
     assert (tmp_path / "again.json").read_bytes() == (tmp_path / "m.json").read_bytes()
 

@@ -181,7 +181,7 @@ def test_the_command_prints_chain_components_and_paper(
     assert main(["table2", str(tmp_path / "mine.csv"), *options, "--out", str(tmp_path / "table2.json")]) == 0
     text = capsys.readouterr().out
     assert "| mine | " in text
-    assert "| segmentation | masks | mIoU | 0.9 | 0.8 to 0.95 | 7 |" in text
+    assert "| segmentation | masks | mIoU | 7 | 0.900 [0.800, 0.950] |" in text
     assert "| snapping, position | 7.2 mm |" in text
     assert [row["label"] for row in json.loads((tmp_path / "table2.json").read_text())["chain"]] == ["truth", "mine"]
     assert main(["table2", str(tmp_path / "mine.csv"), str(tmp_path / "mine.csv"), "--data", str(mini)]) == 2
