@@ -16,7 +16,7 @@ from kit1000.errors import InputError
 from kit1000.files import user_cache
 
 if TYPE_CHECKING:
-    from benchmark.cache import ResultCache
+    from benchmark.provenance import ResultCache
 
 PROGRAM = "python -m benchmark"
 ABOUT = """The benchmark of KIT1000: scores with intervals, robustness curves, paired tests, Table I, the leaderboard.
@@ -59,7 +59,7 @@ class Score:
 
     def run(self) -> int:
         """Score, write and print."""
-        from benchmark.per_query import write_per_query
+        from benchmark.evaluate import write_per_query
         from benchmark.report import json_text, score_text
         from benchmark.score import invalid_text, read_checked, score
         from kit1000.dataset.reader import Dataset
@@ -251,7 +251,7 @@ class Documents:
 
 def _cache(folder: Path | None, none: bool) -> ResultCache | None:
     """The cache of results; None without one."""
-    from benchmark.cache import ResultCache
+    from benchmark.provenance import ResultCache
 
     if none and folder is not None:
         raise InputError("--cache and --no-cache: give one of them")

@@ -16,10 +16,10 @@ import numpy as np
 from scipy.stats import binomtest
 
 from benchmark import quantities
-from benchmark.cache import ResultCache
+from benchmark.evaluate import PerQuery
 from benchmark.intervals import DRAWS, ENDS, SEED, bootstrap_means
-from benchmark.per_query import PerQuery
 from benchmark.protocol import read_protocol
+from benchmark.provenance import ResultCache
 from benchmark.quantities import Quantity
 from benchmark.report import Grid, json_text
 from benchmark.score import Scores, score

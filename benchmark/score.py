@@ -11,11 +11,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmark.cache import ResultCache, cache_key
-from benchmark.evaluate import align, evaluate
-from benchmark.per_query import PerQuery
+from benchmark.evaluate import PerQuery, align, evaluate
 from benchmark.protocol import Protocol, read_protocol
-from benchmark.provenance import commit, evaluator
+from benchmark.provenance import ResultCache, cache_key, commit, evaluator
 from benchmark.queries import ScoredQueries, concatenate, read_queries
 from benchmark.summary import summarise
 from kit1000.dataset.reader import Dataset

@@ -9,12 +9,12 @@ from typing import Any
 from markupsafe import Markup
 
 from benchmark import quantities
-from benchmark.breakdown import TITLES, group_order
 from benchmark.curve_charts import panel
 from benchmark.curves import CURVES
 from benchmark.entries import Entry
-from benchmark.pages.cells import NO_VALUE, Cell, mean_cell, median_cell, percent, scale_end
+from benchmark.pages.board import NO_VALUE, Cell, mean_cell, median_cell, percent, scale_end
 from benchmark.quantities import Quantity
+from benchmark.summary import TITLES, group_order
 from kit1000.pictures.charts import Axis, Dot, Line, dot_plot, histogram, line_chart, rounded_up
 from kit1000.queries.tracks import TRACKS
 

@@ -33,7 +33,7 @@ def build(submissions: Path, out: Path, data: Path | None = None, rescored: bool
         submissions: a folder with a folder for each method, `manifest.toml` and `scores.json` in it.
         out: where the pages go; made where it is missing.
         data: the dataset of the scores, with ground truth, to draw single queries; without it they are only listed.
-        rescored: whether `benchmark.rescore` has reproduced the scores with this dataset; stated on every page.
+        rescored: whether `benchmark.score` has reproduced the scores with this dataset; stated on every page.
     """
     board = read_board(submissions)
     dataset = None if data is None else Dataset(data)

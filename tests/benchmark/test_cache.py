@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmark import cache as module
+from benchmark import provenance as module
 from benchmark import quantities
-from benchmark.cache import ResultCache, cache_key
-from benchmark.per_query import PerQuery
+from benchmark.evaluate import PerQuery
+from benchmark.provenance import ResultCache, cache_key
 from benchmark.report import json_text
 from benchmark.score import score
 from kit1000 import Dataset

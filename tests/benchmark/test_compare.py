@@ -15,7 +15,7 @@ import pytest
 from benchmark import compare as module
 from benchmark import quantities
 from benchmark.compare import bootstrap_p, compare, comparison_text, mcnemar_p
-from benchmark.per_query import PerQuery
+from benchmark.evaluate import PerQuery
 from benchmark.report import json_text
 from benchmark.score import Scores
 from kit1000.errors import InputError

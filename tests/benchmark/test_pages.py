@@ -15,8 +15,7 @@ from typing import Any
 import pytest
 
 from benchmark.pages import build
-from benchmark.pages.board import runtime_class
-from benchmark.pages.cells import percent
+from benchmark.pages.board import percent, runtime_class
 from benchmark.quantities import POSITION
 from benchmark.table1 import run as table1
 from kit1000.errors import InputError

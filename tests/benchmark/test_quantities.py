@@ -14,9 +14,8 @@ import pytest
 from benchmark import evaluate as module
 from benchmark import quantities
 from benchmark.compare import compare, comparison_text
-from benchmark.evaluate import align, evaluate
+from benchmark.evaluate import align, evaluate, write_per_query
 from benchmark.pages import build
-from benchmark.per_query import write_per_query
 from benchmark.protocol import read_protocol
 from benchmark.quantities import HEADLINE, MEDIAN, MILLIMETRE, QUANTITIES, Quantity
 from benchmark.report import json_text, score_text

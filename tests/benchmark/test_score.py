@@ -13,14 +13,12 @@ import pytest
 
 from benchmark import evaluate as module
 from benchmark import provenance
-from benchmark.breakdown import TITLES, binned, groups
-from benchmark.evaluate import align, evaluate
-from benchmark.per_query import PerQuery
+from benchmark.evaluate import PerQuery, align, evaluate
 from benchmark.protocol import read_protocol
 from benchmark.queries import ScoredQueries, read_queries
-from benchmark.report import json_text, rounded, table
+from benchmark.report import Grid, json_text, rounded
 from benchmark.score import Scores, read_checked, score
-from benchmark.summary import histogram, risk_coverage, summarise
+from benchmark.summary import TITLES, binned, groups, histogram, risk_coverage, summarise
 from kit1000 import Dataset
 from kit1000.errors import InputError
 from kit1000.metrics import Seatings
@@ -354,8 +352,6 @@ def test_json_is_short_and_round() -> None:
 
 
 def test_a_table_is_aligned() -> None:
-    assert table(("track", "n"), [["snap", "5"], ["place-paper", "10"]]) == [
-        "track         n",
-        "snap          5",
-        "place-paper  10",
-    ]
+    grid = Grid(("track", "n"), [["snap", "5"], ["place-paper", "10"]])
+    assert grid.text() == "track         n\nsnap          5\nplace-paper  10"
+    assert grid.markdown().splitlines()[1:3] == ["| --- | ---: |", "| snap | 5 |"]

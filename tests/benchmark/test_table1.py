@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from benchmark.protocol import read_protocol
-from benchmark.table1 import NOT_YET, PAPER_ROWS, Grid, as_html, as_markdown, grids, read_table, run
+from benchmark.table1 import NOT_YET, PAPER_ROWS, as_html, as_markdown, read_table, run, sections
 from kit1000.errors import InputError
 from kit1000.queries.tracks import PAPER_TRACKS, TRACKS
 from kit1000.submission.manifest import Manifest, write_manifest
@@ -94,16 +94,16 @@ def submissions(tmp_path: Path) -> Path:
 
 def cells(folder: Path, title: str) -> dict[str, dict[str, str]]:
     """The cells of a grid by method and heading."""
-    grid = next(grid for grid in grids(read_table(folder)) if grid.title == title)
-    return {row[0]: dict(zip(grid.headings[1:], row[1:], strict=True)) for row in grid.rows}
+    grid = next(section.grid for section in sections(read_table(folder)) if section.title == title)
+    return {row[0]: dict(zip(grid.header[1:], row[1:], strict=True)) for row in grid.rows}
 
 
 def test_the_rows_of_the_paper_are_there_before_anything_is_scored(tmp_path: Path) -> None:
     table = read_table(tmp_path)
     assert [row.label for row in table.rows] == PAPER_LABELS
     assert as_markdown(table).startswith("No submission is scored yet.")
-    for grid in grids(table):
-        assert all(NOT_YET in row for row in grid.rows), grid.title
+    for section in sections(table):
+        assert all(NOT_YET in row for row in section.grid.rows), section.title
 
 
 def test_other_methods_follow_by_label_and_controls_come_last(submissions: Path) -> None:
@@ -282,17 +282,14 @@ class Reader(HTMLParser):
             self.rows[-1][-1] += data
 
 
-def drawn(grid: Grid) -> list[list[str]]:
-    return [list(grid.headings), *map(list, grid.rows)]
-
-
 def test_html_shows_the_same_cells(submissions: Path) -> None:
     put(submissions, "chance", {}, {"label": "<b> & co", "control": True})
     table, page = read_table(submissions), Reader()
     page.feed(as_html(table))
     assert not page.open
-    assert page.rows == [row for grid in grids(table) for row in drawn(grid)]
-    controls = sum(sum(grid.controls) for grid in grids(table))
+    shown = sections(table)
+    assert page.rows == [[*row] for section in shown for row in (section.grid.header, *section.grid.rows)]
+    controls = sum(section.classes.count("control") for section in shown)
     assert as_html(table).count('<tr class="control">') == controls >= 2 * len(TRACKS)
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmark import quantities
-from benchmark.per_query import PerQuery
+from benchmark.evaluate import PerQuery
 from benchmark.protocol import Protocol, read_protocol
 from benchmark.report import json_text
 from benchmark.summary import summarise
