@@ -44,7 +44,7 @@ LOCK = $(BIN)/uv pip compile pyproject.toml --group pyproject.toml:build --unive
 
 .DEFAULT_GOAL = help
 .DELETE_ON_ERROR:
-.PHONY: help install browser dataset test test-slow check lint site wheel results table1 table2 bench bench-parts portable mutants viewers slicer pictures lock clean
+.PHONY: help install browser dataset test test-slow check lint site wheel results table1 table2 bench portable mutants viewers slicer pictures lock clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
@@ -92,8 +92,8 @@ table2: $(DEV) ## Table II of DATA (PRESET=real-like), rows under ROWS: each sta
 	$(ROW) registration-completed --masks predicted --out "$(ROWS)/masks-found"
 	$(ROW) guess --out "$(ROWS)/guess"
 	$(BIN)/python bench/quality/segmentation.py "$(DATA)" $(MEASURE)
-	$(BIN)/python bench/quality/completion.py "$(DATA)" $(MEASURE)
-	$(BIN)/python bench/quality/kit_completion.py "$(DATA)" $(MEASURE)
+	$(BIN)/python bench/quality/completion.py parts "$(DATA)" $(MEASURE)
+	$(BIN)/python bench/quality/completion.py kits "$(DATA)" $(MEASURE)
 	$(BIN)/python -m benchmark table2 $(addprefix "$(ROWS)"/,true-shapes masks-given masks-found guess) --data "$(DATA)" \
 	    --masks predicted --components "$(ROWS)/components.json" --out "$(ROWS)/table2.json"
 
@@ -108,19 +108,9 @@ results: $(DEV) ## fill the tables of README and docs from results/ and submissi
 bench: $(DEV) ## each speed beside a reference of the same run, on DATA, else on tiny; OUT=results writes them too
 	$(BIN)/python bench/speed/kits.py $(call TO,kits)
 	$(if $(PARTS),$(BIN)/python bench/speed/kit_files.py "$(PARTS)" $(call TO,kit-files))
-	$(BIN)/python bench/speed/seating.py $(call TO,seating)
-	$(BIN)/python bench/speed/render.py $(call TO,render)
-	$(BIN)/python bench/speed/voxels.py $(call TO,voxels)
 	$(BIN)/python bench/speed/reading.py $(MEASURED) $(call TO,reading)
 	$(BIN)/python bench/speed/scoring.py $(MEASURED) $(call TO,scoring)
 	$(BIN)/python bench/speed/methods.py $(MEASURED) $(call TO,methods)
-	$(BIN)/python bench/speed/snap_examples.py $(MEASURED) $(call TO,snap-examples)
-	$(BIN)/python bench/speed/snap_position.py $(call TO,snap-position)
-	$(BIN)/python bench/speed/snap_rotation.py $(call TO,snap-rotation)
-
-bench-parts: $(DEV) ## compare our parts with real ones: make bench-parts PARTS=DIR
-	$(if $(PARTS),,$(error a folder of meshes is wanted: make bench-parts PARTS=DIR))
-	$(BIN)/python bench/quality/parts.py "$(PARTS)"
 
 portable: $(DEV) ## generate tiny and small as on another processor, and compare every byte
 	$(BIN)/python bench/outside/portable.py tiny small

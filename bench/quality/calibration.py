@@ -1,4 +1,4 @@
-"""How far camera pose and depth scale of the d415 are off: as recorded, and calibrated by more and more of the table.
+"""Errors of camera pose and depth scale of the d415: as recorded, and calibrated by plane and outline of the table.
 
     python bench/quality/calibration.py data/kit1000 --split test
 
@@ -7,18 +7,17 @@ The true pose and depths are those of the ideal image of the scene.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from time import process_time
 
 import numpy as np
 import tyro
 
-from bench.measured_dataset import measured_dataset
+from bench.measured import measured_dataset, run, spread, timed
 from benchmark.measurements import Column, Measurement, estimate
 from kit1000.dataset.reader import RecordedScene
-from kit1000.errors import Kit1000Error
 from kit1000.perception.calibration import OUTLINE, calibrated
 from kit1000.perception.calibration.borders import OutlineEdge
 from kit1000.values import View
@@ -28,7 +27,7 @@ WAYS: dict[str, Sequence[OutlineEdge] | None] = {
     "plane": (),
     "plane, outline": OUTLINE,
 }
-"""By name: the borders that are used beside the table's plane; None: no calibration."""
+"""Borders that are used besides the plane of the table, by name; None: no calibration."""
 AXES = ("x", "y", "z", "roll", "pitch", "yaw", "scale")
 WAY = Column("way", "calibrated by")
 ERROR_COLUMNS = (
@@ -67,9 +66,8 @@ def main(options: Calibration) -> None:
     """Print the errors of position, rotation and scale, and their root mean squares along each axis."""
     with measured_dataset(options.data) as (dataset, _):
         split = dataset.split(options.split, truth=True)
-        ids = split.scene_ids
-        count = min(options.scenes, len(ids))
-        scenes = [split.scene(ids[i * len(ids) // count]) for i in range(count)]
+        scenes = [split.scene(name) for name in spread(split.scene_ids, options.scenes)]
+        count = len(scenes)
         rows, clusters = [_measured(scene) for scene in scenes], [scene.scene.bodies[0].id for scene in scenes]
         measurement = Measurement.begin(dataset)
         title = f"Mean absolute error of camera pose and depth scale of the d415, images of {options.split}"
@@ -98,9 +96,12 @@ def _measured(scene: RecordedScene) -> np.ndarray:
     image, true = scene.labelled_depth("d415"), scene.labelled_depth("ideal").view
     rows = []
     for borders in WAYS.values():
-        start = time.process_time()
-        view = image.view if borders is None else calibrated(image.view, image.labels, borders=borders)
-        seconds = time.process_time() - start
+        seconds, view = timed(
+            lambda borders=borders: (
+                image.view if borders is None else calibrated(image.view, image.labels, borders=borders)
+            ),
+            process_time,
+        )
         rows.append([*camera_errors(view, true), seconds])
     return np.array(rows)
 
@@ -115,7 +116,4 @@ def camera_errors(view: View, true: View) -> np.ndarray:
 
 
 if __name__ == "__main__":
-    try:
-        main(tyro.cli(Calibration))
-    except Kit1000Error as error:
-        raise SystemExit(f"calibration: {error}") from error
+    run(main, Calibration, __doc__)

@@ -1,16 +1,13 @@
-"""How many parts a method seats under other conditions of the camera: sensor, frames, distance, clearance.
+"""Share of parts that a method seats under other conditions of the camera: sensor, frames, distance, places.
 
     python bench/quality/camera_conditions.py data/kit1000 --limit 40 --out results/camera-conditions.json
-    python bench/quality/camera_conditions.py data/kit1000 --clearances-mm 5 10 --sets data/clearances
 
-One factor at a time differs from the base: one frame of the d415 from where the scene's own camera stands. Images are
-measured anew, always the same. For another distance the scene is rendered again: the camera keeps its direction and
-looks at the middle between the part and its goal, which for this the truth shows. From several places the camera goes
-about the vertical through that middle; each image has its own noise and its own error of the camera's pose. Methods get
-masks and a calibrated image as ever, and no truth. A part or goal outside the image leaves an image out, and a query
-where it was the only one, so n differs between distances.
-For another clearance a small dataset is made, with other parts: those that fit too loosely are refused. Of more than
-7 mm four of five parts of 35 to 50 mm would be, so there parts, plates and distances are those of `real-like`.
+Each condition differs from the base, which is one frame of the d415 at the camera pose of the scene. Noise is sampled
+again with a fixed seed. For another distance the scene is rendered again: the camera keeps its direction and looks at
+the middle between the part and its true goal. For several places the camera moves about the vertical axis through that
+middle; each image has its own noise and its own error of the camera pose. Methods get masks and an image as usual, and
+no truth. An image in which the part or its goal is outside the view is left out, and so is a query without any image;
+therefore n differs between distances.
 """
 
 from __future__ import annotations
@@ -24,12 +21,11 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import tyro
 
+from bench.measured import run, spread
 from benchmark.measurements import Column, Measurement, Table, rate
 from kit1000.camera import look_at
 from kit1000.dataset.reader import Dataset, RecordedScene
-from kit1000.errors import InputError, Kit1000Error
-from kit1000.generation.build import generate
-from kit1000.generation.presets import preset
+from kit1000.errors import InputError
 from kit1000.metrics import Targets, pose_errors, seatings
 from kit1000.parallel import local_engine
 from kit1000.pose import Pose
@@ -44,7 +40,6 @@ from kit1000.values import FIRST_PART_LABEL, LabelledDepth, Query, Truth, View
 SURE = 0.8  # confidence from which on a fit counts as sure
 LEAST_PIXELS = 200  # of a part in an image that is rendered again
 AZIMUTHS = tuple(np.radians((0.0, 40.0, 90.0, 180.0)).tolist())  # [rad] of the places, about the first
-WIDE_MM = 7.0  # clearances above it are for larger parts
 
 
 class Condition(NamedTuple):
@@ -93,10 +88,6 @@ class CameraConditions:
 
     data: tyro.conf.Positional[Path]
     """Dataset folder, with ground truth and ideal images."""
-    clearances_mm: tuple[float, ...] = ()
-    """Other clearances, under which the base condition is measured too."""
-    sets: Path = Path("data/clearances")
-    """Folder for the datasets with these clearances; those that it holds are not made again."""
     conditions: tuple[str, ...] = ()
     """Names of conditions, such as "d415, 10 frames"; all when empty."""
     method: str = "registration-completed"
@@ -113,7 +104,6 @@ class CameraConditions:
 
 COLUMNS = (
     Column("condition", "condition"),
-    Column("clearance", "clearance, mm", 1),
     Column("n", "n"),
     Column("seated", "seated, %", 1, True),
     Column("position", "position, median mm", 2),
@@ -129,10 +119,9 @@ def main(options: CameraConditions) -> None:
     measurement = Measurement.begin(Dataset(options.data))
     title = f"{options.method} under conditions of the camera, queries of {options.track} of {options.split}"
     table = measurement.table("seated", title, *COLUMNS)
-    others = [_set_with(clearance, options) for clearance in options.clearances_mm]
-    with local_engine(options.workers) as spread:
-        for data, condition in [*((options.data, each) for each in chosen), *((data, BASE) for data in others)]:
-            _add(table, Dataset(data), condition, _answers(options, data, condition, spread))
+    with local_engine(options.workers) as engine:
+        for condition in chosen:
+            _add(table, Dataset(options.data), condition, _answers(options, condition, engine))
     measurement.report(options.out)
 
 
@@ -145,29 +134,16 @@ def conditions_named(names: Sequence[str]) -> tuple[Condition, ...]:
     return tuple(known[name] for name in names) or CONDITIONS
 
 
-def _set_with(clearance_mm: float, options: CameraConditions) -> Path:
-    """A dataset as kit1000 but for its clearance, with a scene for each query of a condition."""
-    folder = options.sets / f"{clearance_mm:g}-mm"
-    scenes = {"train": 1, "val": 1, "test": 1, options.split: options.limit}
-    sizes = preset("real-like" if clearance_mm > WIDE_MM else "kit1000")
-    settings = replace(
-        sizes, **scenes, frames=1, clearance=clearance_mm * 1e-3, tracks=(options.track,), curve_scenes=0
-    )
-    generate(settings, folder, workers=options.workers)
-    return folder
-
-
-def _answers(options: CameraConditions, data: Path, condition: Condition, spread: Any) -> list[Answer]:
+def _answers(options: CameraConditions, condition: Condition, engine: Any) -> list[Answer]:
     """The method's answers under a condition."""
-    split = Dataset(data).split(options.split, truth=True)
+    split = Dataset(options.data).split(options.split, truth=True)
     queries = [query for query in split.queries() if query.track == options.track]
     if not queries:
-        raise InputError(f"{data}: split {options.split} has no query of {options.track}")
-    count = min(options.limit, len(queries))
-    jobs = [(queries[k].scene_id, queries[k].id) for k in (i * len(queries) // count for i in range(count))]
-    answers = [each for each in spread(partial(_answer, options, data, condition), jobs) if each is not None]
+        raise InputError(f"{options.data}: split {options.split} has no query of {options.track}")
+    jobs = [(query.scene_id, query.id) for query in spread(queries, options.limit)]
+    answers = [each for each in engine(partial(_answer, options, condition), jobs) if each is not None]
     if not answers:
-        raise InputError(f"{condition.name}: no part and goal of {count} queries are in view")
+        raise InputError(f"{condition.name}: no part and goal of {len(jobs)} queries are in view")
     return answers
 
 
@@ -179,7 +155,6 @@ def _add(table: Table, dataset: Dataset, condition: Condition, answers: Sequence
     sure = np.array([each.confidence for each in answers]) >= SURE
     table.add(
         condition=condition.name,
-        clearance=1e3 * float(dataset.summary["config"]["clearance"]),
         n=len(answers),
         seated=rate(seated),
         position=1e3 * float(np.median(errors.position)),
@@ -189,10 +164,10 @@ def _add(table: Table, dataset: Dataset, condition: Condition, answers: Sequence
     )
 
 
-def _answer(options: CameraConditions, data: Path, condition: Condition, job: tuple[str, str]) -> Answer | None:
-    """The method's answer to a query under a condition; None where its part or its goal is out of view."""
+def _answer(options: CameraConditions, condition: Condition, job: tuple[str, str]) -> Answer | None:
+    """The method's answer to a query under a condition; None if no image shows both part and goal."""
     scene_id, query_id = job
-    dataset, predictor = _made(data, options.method)
+    dataset, predictor = _made(options.data, options.method)
     scene = dataset.split(options.split, truth=True).scene(scene_id)
     query, truth = next(query for query in scene.queries if query.id == query_id), scene.truth_of(query_id)
     seen = [ideal_from(scene, query, truth, condition.distance, azimuth) for azimuth in AZIMUTHS[: condition.places]]
@@ -265,7 +240,4 @@ def _made(data: Path, name: str) -> tuple[Dataset, Any]:
 
 
 if __name__ == "__main__":
-    try:
-        main(tyro.cli(CameraConditions))
-    except Kit1000Error as error:
-        raise SystemExit(f"camera_conditions: {error}") from error
+    run(main, CameraConditions, __doc__)

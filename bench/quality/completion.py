@@ -1,51 +1,49 @@
-"""How well parts are completed from one image: by columns, and by the network.
+"""Quality of completed shapes from one image: parts by columns and by the network, kits by columns.
 
-    python bench/quality/completion.py data/kit1000 --split test
+    python bench/quality/completion.py parts data/kit1000 --split test
+    python bench/quality/completion.py kits data/kit1000 --split test
 
-IoU of the occupied voxels of 1 mm and surface Chamfer distance, of all space, of hidden and of seen space; of the
-network also the expected calibration error (ECE) of its probabilities in hidden cells, and its seconds on one core. The
-image of the d415 is calibrated by the table first.
+The tables hold the IoU of the occupied voxels and the Chamfer distance of the surfaces, in all space, in hidden and in
+seen space. Parts have voxels of 1 mm, kits of 2 mm. For the network of parts they also hold the expected calibration
+error (ECE) of its probabilities in hidden cells, and its seconds on one core. A kit is compared within its plate and up
+to ABOVE it; the true kit with its cavity filled shows what a score is worth.
 """
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple
+from time import process_time
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import torch
 import tyro
+from scipy.spatial import KDTree
 
-from bench.measured_dataset import measured_dataset
-from bench.quality.completion_scores import (
-    Scores,
-    completion_scores,
-    component_measures,
-    score_columns,
-    score_estimates,
-)
-from bench.quality.components import add_components
+from bench.measured import add_components, measured_dataset, run, spread, timed
 from benchmark.measurements import Column, Measurement, estimate
-from kit1000.dataset.reader import Dataset, RecordedScene
-from kit1000.errors import Kit1000Error
+from kit1000.dataset.reader import Dataset
 from kit1000.generation.presets import HELD_OUT
+from kit1000.metrics.volumes import occupancy_iou, surface_chamfer
 from kit1000.perception.completion.parts.completed import CompletedPart, PartCompleter
 from kit1000.perception.completion.parts.frame import CODE
+from kit1000.perception.observed.kits import ObservedKits
 from kit1000.perception.observed.occupancy import filled_share
 from kit1000.perception.observed.parts import ObservedPart
-from kit1000.perception.restoration import calibrated_image
+from kit1000.perception.observed.pixels import noise_of
+from kit1000.perception.restoration import calibrated_image, restored
 from kit1000.registration import METHODS
 from kit1000.values import FIRST_PART_LABEL, Query, Truth
-from kit1000.voxels import signed_distance
+from kit1000.voxels import Volume, signed_distance, surface_points
+from kit1000.voxels.grid import DEFAULT_TRUNCATION
 
 WEIGHTS = METHODS["registration-completed"].weights
 SHIPPED = {"ideal": WEIGHTS["completion"], "d415": WEIGHTS["noisy_completion"]}
-VOXEL = 1e-3  # [m]
-BINS = 10  # of probability, for the calibration error
-METHODS = ("columns", "network")
+PART_VOXEL, KIT_VOXEL = 1e-3, 2e-3  # [m]
+ABOVE = 10e-3  # [m] above the plate of a kit, where space is free
+BINS = 10  # number of intervals of probability for the calibration error
 SENSOR, N = Column("sensor", "sensor"), Column("n", "n")
 GROUP_COLUMNS = (
     SENSOR,
@@ -62,35 +60,49 @@ SECONDS = (SENSOR, N, Column("seconds", "mean, s", 3), Column("median", "median"
 
 @dataclass(frozen=True)
 class Completion:
-    """Measure the completion of parts."""
+    """Measure the completion of parts or of kits."""
 
+    what: tyro.conf.Positional[Literal["parts", "kits"]]
     data: tyro.conf.Positional[Path | None] = None
     """Dataset folder; without one a tiny dataset is generated."""
     split: str = "test"
     sensor: Literal["ideal", "d415"] | None = None
     """One sensor; both when absent."""
-    weights: Path | None = None
-    """Stem of the network's weights; those of the sensor when absent."""
     parts: int = 200
-    """Most parts, spread evenly over the split; one of each scene."""
-    csv: Path | None = None
-    """File for one row per part."""
+    """Most parts or kits, spread evenly over the split; one of each scene."""
     components: Path | None = None
     """JSON file for Table II, to which the means are added."""
     out: Path | None = None
     """JSON file of the tables, such as results/completion.json."""
 
 
-class Measured(NamedTuple):
-    """A part, completed."""
+class Space(NamedTuple):
+    """Scores of a completed volume in a space."""
 
-    query: Query
+    iou: float
+    """IoU of the occupied voxels."""
+    chamfer: float
+    """Chamfer distance of the surfaces [m]."""
+
+
+class Scores(NamedTuple):
+    """Scores of a completed volume in all space, and in what the image does not show and shows."""
+
+    all: Space
+    hidden: Space
+    seen: Space
+
+
+class Measured(NamedTuple):
+    """A completed part or kit."""
+
     truth: Truth
-    columns: Scores
-    network: Scores
-    seconds: float
-    counts: np.ndarray
-    """(3, BINS) by the probability of hidden cells: their number, the sums of probability and of filled share."""
+    scores: dict[str, Scores]
+    """Scores by method."""
+    seconds: float = 0.0
+    """Processor time of the network [s]."""
+    counts: np.ndarray = np.zeros((3, BINS))
+    """Number of hidden cells, and sums of probability and filled share, by intervals of probability: (3, BINS)."""
 
 
 GROUPS: dict[str, Callable[[Truth], bool]] = {
@@ -104,87 +116,106 @@ GROUPS: dict[str, Callable[[Truth], bool]] = {
 
 
 def main(options: Completion) -> None:
-    """Print the scores of each sensor, and the IoU by groups of parts."""
+    """Print the scores of each sensor; of parts also the IoU by groups, and the seconds."""
     torch.set_num_threads(1)
+    kits = options.what == "kits"
     with measured_dataset(options.data) as (dataset, _):
         measurement = Measurement.begin(dataset)
-        title = f"Completed parts, voxels of {1e3 * VOXEL:g} mm, scenes of {options.split}"
-        measurement.table("scores", title, SENSOR, Column("method", "method"), N, *score_columns())
-        measurement.table("groups", "IoU of all space by groups of parts", *GROUP_COLUMNS)
-        measurement.table("seconds", "CPU seconds of the network a part", *SECONDS)
+        voxel = KIT_VOXEL if kits else PART_VOXEL
+        title = f"Completed {options.what}, voxels of {1e3 * voxel:g} mm, scenes of {options.split}"
+        table = measurement.table("scores", title, SENSOR, Column("method", "method"), N, *score_columns())
+        if not kits:
+            measurement.table("groups", "IoU of all space by groups of parts", *GROUP_COLUMNS)
+            measurement.table("seconds", "CPU seconds of the network a part", *SECONDS)
         for sensor in (options.sensor,) if options.sensor else ("ideal", "d415"):
-            completer = PartCompleter(options.weights or SHIPPED[sensor])
-            found = list(_measured(dataset, options, completer, sensor))
+            measure = _kit if kits else _part_by(PartCompleter(SHIPPED[sensor]))
+            found = [measure(dataset, query, truth) for query, truth in _drawn(dataset, options, sensor)]
             if not found:
                 continue
-            _report(measurement, sensor, found)
-            if options.csv is not None:
-                _write(options.csv.with_stem(f"{options.csv.stem}-{sensor}"), found)
+            clusters = [row.truth.assembly_id for row in found]
+            methods = {method: [row.scores[method] for row in found] for method in found[0].scores}
+            for method, scores in methods.items():
+                table.add(sensor=sensor, method=method, n=len(found), **score_estimates(scores, clusters))
             if options.components is not None:
-                _add(options.components, sensor, found)
+                component = f"{options.what[:-1]} completion, {sensor}"
+                add_components(options.components, component, component_measures(methods), clusters)
+            if not kits:
+                _add_parts(measurement, sensor, found)
         measurement.report(options.out)
 
 
-def _report(measurement: Measurement, sensor: str, found: list[Measured]) -> None:
-    """Add the rows of a sensor to the tables."""
-    clusters = [row.truth.assembly_id for row in found]
-    for method in METHODS:
-        estimates = score_estimates([getattr(row, method) for row in found], clusters)
-        measurement.tables["scores"].add(sensor=sensor, method=method, n=len(found), **estimates)
+def _drawn(dataset: Dataset, options: Completion, sensor: str) -> Iterator[tuple[Query, Truth]]:
+    """The first sampled query of each scene, with its truth."""
+    scenes = dataset.split(options.split, truth=True)
+    for scene in map(scenes.scene, spread(scenes.scene_ids, options.parts)):
+        query = next((query for query in scene.queries if query.drawn and query.sensor == sensor), None)
+        if query is not None:
+            yield query, scene.truth_of(query.id)
+
+
+def _part_by(completer: PartCompleter) -> Callable[[Dataset, Query, Truth], Measured]:
+    """A function that completes the part of a query by columns and by a network."""
+
+    def measured(dataset: Dataset, query: Query, truth: Truth) -> Measured:
+        image = calibrated_image(query.image, query.sensor)
+        observed = ObservedPart(image, FIRST_PART_LABEL + query.part, query.pivot)
+        completed = CompletedPart(observed, completer, None if query.sensor == "ideal" else image)
+        seconds, logits = timed(lambda: completed.logits, process_time)
+        mesh = dataset.geometry.part(truth.part_id).mesh
+        columns, network = observed.volume(PART_VOXEL), completed.volume(PART_VOXEL)
+        exact = signed_distance(columns.grid, [(mesh, truth.world_from_part)], threads=1)
+        hidden = np.isnan(observed.columns(PART_VOXEL).distance[::2, ::2])
+        counts = np.zeros((3, BINS))
+        if logits is not None and completed.framed is not None:
+            cells = completed.framed.codes == -CODE
+            share = filled_share(mesh, truth.world_from_part, logits.grid)
+            counts = bin_counts(logits.probability[cells], share[cells])
+        volumes = {"columns": columns, "network": network}
+        scores = {name: completion_scores(volume, exact, hidden) for name, volume in volumes.items()}
+        return Measured(truth, scores, seconds, counts)
+
+    return measured
+
+
+def _kit(dataset: Dataset, query: Query, truth: Truth) -> Measured:
+    """The kit of a query completed by columns along the normal of its plate, and the true kit without its cavity."""
+    extent = dataset.geometry.kit(truth.part_id).extent
+    half_width = float(extent[:2].max() / 2)
+    kits = ObservedKits(restored(query.image, query.sensor), noise_of(query.sensor), query.scene_id, half_width)
+    columns = kits.columns(truth.world_from_kit.apply(np.array([0, 0, -extent[2] / 2])), KIT_VOXEL)
+    filled, hidden = columns.filled(largest_only=False), np.isnan(columns.distance[::2, ::2])
+    true = dataset.geometry.true_geometry(truth)
+    exact = signed_distance(filled.grid, [(true.assembly, true.world_from_assembly)], threads=1)
+    kit = truth.world_from_kit.inverse().apply(filled.grid.centres())
+    sides = np.abs(kit[..., :2]) - extent[:2] / 2
+    plate = np.max([*np.moveaxis(sides, -1, 0), kit[..., 2], -extent[2] - kit[..., 2]], axis=0)
+    solid = np.minimum(exact.values, (plate / (DEFAULT_TRUNCATION * KIT_VOXEL)).clip(-1, 1))
+    within = (sides < 0).all(-1) & (kit[..., 2] > -extent[2]) & (kit[..., 2] < ABOVE)
+    filled, exact, solid = (
+        Volume.adopt(exact.grid, np.where(within, values, np.nan).astype(np.float32))
+        for values in (filled.values, exact.values, solid)
+    )
+    volumes = {"columns": filled, "without cavity": solid}
+    return Measured(truth, {name: completion_scores(volume, exact, hidden) for name, volume in volumes.items()})
+
+
+def _add_parts(measurement: Measurement, sensor: str, found: Sequence[Measured]) -> None:
+    """Add the IoU of parts by groups, and the seconds of the network."""
     for name, belongs in GROUPS.items():
-        _add_group(measurement, sensor, name, [row for row in found if belongs(row.truth)])
+        rows = [row for row in found if belongs(row.truth)]
+        if not rows:
+            continue
+        columns, network = (np.array([row.scores[method].all.iou for row in rows]) for method in ("columns", "network"))
+        gain = estimate(network - columns, [row.truth.assembly_id for row in rows])
+        shares = {"columns": columns.mean(), "network": network.mean(), "gain": gain, "median": gain["median"]}
+        ece = calibration_error(np.sum([row.counts for row in rows], axis=0))
+        measurement.tables["groups"].add(sensor=sensor, group=name, n=len(rows), ece=ece, **shares)
     seconds = estimate([row.seconds for row in found])
     measurement.tables["seconds"].add(sensor=sensor, n=len(found), seconds=seconds, median=seconds["median"])
 
 
-def _add_group(measurement: Measurement, sensor: str, group: str, rows: list[Measured]) -> None:
-    if not rows:
-        return
-    columns, network = (np.array([getattr(row, method).all.iou for row in rows]) for method in METHODS)
-    gain = estimate(network - columns, [row.truth.assembly_id for row in rows])
-    shares = {"columns": columns.mean(), "network": network.mean(), "gain": gain, "median": gain["median"]}
-    ece = calibration_error(np.sum([row.counts for row in rows], axis=0))
-    measurement.tables["groups"].add(sensor=sensor, group=group, n=len(rows), ece=ece, **shares)
-
-
-def _add(path: Path, sensor: str, rows: list[Measured]) -> None:
-    methods = {method: [getattr(row, method) for row in rows] for method in METHODS}
-    clusters = [row.truth.assembly_id for row in rows]
-    add_components(path, f"part completion, {sensor}", component_measures(methods), clusters)
-
-
-def _measured(dataset: Dataset, options: Completion, completer: PartCompleter, sensor: str) -> Iterator[Measured]:
-    split = dataset.split(options.split, truth=True)
-    ids = split.scene_ids
-    chosen = [ids[i * len(ids) // min(options.parts, len(ids))] for i in range(min(options.parts, len(ids)))]
-    for scene in map(split.scene, chosen):
-        query = next((query for query in scene.queries if query.drawn and query.sensor == sensor), None)
-        if query is not None:
-            yield _measure(scene, query, completer, dataset)
-
-
-def _measure(scene: RecordedScene, query: Query, completer: PartCompleter, dataset: Dataset) -> Measured:
-    truth, image = scene.truth_of(query.id), calibrated_image(query.image, query.sensor)
-    observed = ObservedPart(image, FIRST_PART_LABEL + query.part, query.pivot)
-    start = time.process_time()
-    completed = CompletedPart(observed, completer, None if query.sensor == "ideal" else image)
-    logits = completed.logits
-    seconds = time.process_time() - start
-    mesh = dataset.geometry.part(truth.part_id).mesh
-    columns, network = observed.volume(VOXEL), completed.volume(VOXEL)
-    exact = signed_distance(columns.grid, [(mesh, truth.world_from_part)], threads=1)
-    hidden = np.isnan(observed.columns(VOXEL).distance[::2, ::2])
-    counts = np.zeros((3, BINS))
-    if logits is not None and completed.framed is not None:
-        cells = completed.framed.codes == -CODE
-        share = filled_share(mesh, truth.world_from_part, logits.grid)
-        counts = bin_counts(logits.probability[cells], share[cells])
-    scores = [completion_scores(volume, exact, hidden) for volume in (columns, network)]
-    return Measured(query, truth, scores[0], scores[1], seconds, counts)
-
-
 def bin_counts(probability: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """(3, BINS): by probability, the number of cells and the sums of their probabilities and filled shares (n,)."""
+    """Counts of n cells by probability: their number and the sums of probability and filled share, (3, BINS)."""
     bins = np.minimum((probability * BINS).astype(int), BINS - 1)
     return np.stack([np.bincount(bins, weights, BINS) for weights in (np.ones(len(bins)), probability, share)])
 
@@ -194,18 +225,69 @@ def calibration_error(counts: np.ndarray) -> float:
     return float(np.abs(counts[1] - counts[2]).sum() / max(counts[0].sum(), 1))
 
 
-def _write(path: Path, rows: list[Measured]) -> None:
-    lines = ["query,family,rest_mode,crowded,columns_iou,network_iou,columns_mm,network_mm"]
-    for row in rows:
-        spaces = row.columns.all, row.network.all
-        numbers = [*(space.iou for space in spaces), *(1e3 * space.chamfer for space in spaces)]
-        names = [row.query.id, row.truth.family, row.truth.rest_mode, str(int(row.truth.crowded))]
-        lines.append(",".join([*names, *(f"{number:.4f}" for number in numbers)]))
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+def score_columns() -> list[Column]:
+    """Columns of a table for IoU and Chamfer distance in each space, and for their medians in all space."""
+    spaces = {name: "" if name == "all" else f", {name}" for name in Scores._fields}
+    iou = [Column(f"iou_{name}", f"IoU{where}", 3) for name, where in spaces.items()]
+    chamfer = [Column(f"chamfer_{name}", f"Chamfer{where}, mm", 2) for name, where in spaces.items()]
+    return [*iou, Column("iou_median", "IoU, median", 3), *chamfer, Column("chamfer_median", "Chamfer, median", 2)]
+
+
+def score_estimates(scores: Sequence[Scores], clusters: Sequence[str]) -> dict[str, Any]:
+    """Values for `score_columns` over n scores. clusters: n labels, as in `benchmark.measurements.estimate`."""
+    values: dict[str, Any] = {}
+    for name in Scores._fields:
+        spaces: list[Space] = [getattr(one, name) for one in scores]
+        values[f"iou_{name}"] = estimate([space.iou for space in spaces], clusters)
+        values[f"chamfer_{name}"] = estimate([1e3 * space.chamfer for space in spaces], clusters)
+    return values | {f"{key}_median": values[f"{key}_all"]["median"] for key in ("iou", "chamfer")}
+
+
+def component_measures(methods: Mapping[str, Sequence[Scores]]) -> dict[str, list[float]]:
+    """The scores of methods as measures of a component, see `add_components`."""
+    measures: dict[str, list[float]] = {}
+    for method, scores in methods.items():
+        for name in Scores._fields:
+            spaces = [getattr(one, name) for one in scores]
+            where = "" if name == "all" else f" in {name} space"
+            measures[f"{method}: IoU{where}"] = [space.iou for space in spaces]
+            measures[f"{method}: surface Chamfer distance{where}, mm"] = [1e3 * space.chamfer for space in spaces]
+    return measures
+
+
+def completion_scores(completed: Volume, exact: Volume, hidden: np.ndarray) -> Scores:
+    """Compare two volumes on one grid. hidden: (nx, ny, nz) bool, the voxels that the image does not show."""
+    surfaces = surface_points(completed), surface_points(exact)
+    spaces = [
+        Space(
+            occupancy_iou(*(np.where(space, one.values, np.float32(np.nan)) for one in (completed, exact))),
+            _chamfer_within(surfaces, [space[_voxels(exact, points)] for points in surfaces]),
+        )
+        for space in (hidden, ~hidden)
+    ]
+    return Scores(Space(occupancy_iou(completed, exact), surface_chamfer(completed, exact)), *spaces)
+
+
+def _voxels(volume: Volume, points: np.ndarray) -> tuple[np.ndarray, ...]:
+    """The indices of the voxels nearest to points (n, 3) [m] on the surfaces in a volume."""
+    return tuple(np.rint(volume.grid.indices(points)).astype(int).T)
+
+
+def _chamfer_within(surfaces: tuple[np.ndarray, np.ndarray], within: list[np.ndarray]) -> float:
+    """The mean distance from the points of each surface within a space to the whole other surface [m].
+
+    A direction without points in the space does not count. The result is 0 if no direction has points, and infinite if
+    one of the surfaces is missing.
+    """
+    if not all(map(len, surfaces)):
+        return 0.0 if not any(map(len, surfaces)) else float("inf")
+    means = [
+        KDTree(surfaces[to]).query(surfaces[start][within[start]])[0].mean()
+        for start, to in ((0, 1), (1, 0))
+        if within[start].any()
+    ]
+    return float(np.mean(means)) if means else 0.0
 
 
 if __name__ == "__main__":
-    try:
-        main(tyro.cli(Completion))
-    except Kit1000Error as error:
-        raise SystemExit(f"completion: {error}") from error
+    run(main, Completion, __doc__)

@@ -1,25 +1,25 @@
-"""How well are known shapes registered to noisy depth images? Scenes whose truth is forgotten, then asked.
+"""Errors of known shapes that `kit1000 label` registers to noisy depth images.
 
     python bench/quality/labelling.py data/tiny --splits test train val --out results/labelling.json
 
-The noisy view is rounded to a unit and labelled as `kit1000 label` does; poses are compared with the truth in the
-camera frame, up to the symmetry of the shape. The true camera is that of the ideal view. "Relative" is the pose of a
-part against the kits, which is all that a score depends on.
+The noisy image is rounded to a unit and labelled without its truth. Poses are then compared with the truth in the
+camera frame, up to the symmetry of the shape. The true camera is that of the ideal image. "Relative" is the pose of a
+part relative to the kits; a score depends on it alone.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from time import process_time
+from typing import Any
 
 import numpy as np
 import tyro
 from tqdm import tqdm
 
-from bench.quality.forgotten_truth import SENSOR, UNIT, forgotten_image
+from bench.measured import run, timed
 from benchmark.measurements import Column, Measurement, estimate
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.labelling.known_kits import KITS
@@ -28,11 +28,13 @@ from kit1000.labelling.shape_distance import ShapeDistance
 from kit1000.labelling.starting_poses import KnownShape
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
+from kit1000.sim.sensors import DEPTH_GRID
 from kit1000.symmetry import Symmetry
-from kit1000.values import FIRST_PART_LABEL, LabelledDepth
+from kit1000.values import FIRST_PART_LABEL, LabelledDepth, View
 
+SENSOR = "d415"
 MM = 1e3
-OFF = 2e-3  # [m] beyond which no body may pass as sure
+OFF = 2e-3  # [m] larger error, with which a body may not pass as certain
 ERRORS = (
     Column("what", "body"),
     Column("n", "n"),
@@ -45,9 +47,9 @@ ERRORS = (
 SURE = (
     Column("what", "body"),
     Column("n", "n"),
-    Column("sure", "sure"),
-    Column("sure_off", "sure and over 2 mm off"),
-    Column("worst", "worst of the sure, mm", 2),
+    Column("sure", "certain"),
+    Column("sure_off", "certain and over 2 mm off"),
+    Column("worst", "worst of the certain, mm", 2),
     Column("wrong", "over 2 mm off"),
 )
 SCALE = (
@@ -64,8 +66,8 @@ Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
-class Options:
-    """Label scenes of a dataset whose truth is forgotten, and compare."""
+class Labelling:
+    """Label scenes of a dataset without their truth, and compare with it."""
 
     data: tyro.conf.Positional[Path]
     """Dataset folder with ground truth and views of the d415."""
@@ -73,22 +75,29 @@ class Options:
     """Splits of the scenes."""
     scenes: int | None = None
     """Number of scenes of each split; all when absent."""
-    unit_mm: float = UNIT * MM
+    unit_mm: float = 1.0
     """Unit of the depths."""
-    masks: Literal["given", "depth"] = "given"
-    """Masks: those of the dataset, or everything that stands above the table."""
     out: Path | None = None
     """JSON file of the tables, such as results/labelling.json."""
 
 
-def main(options: Options) -> None:
+def main(options: Labelling) -> None:
     """Label the scenes and print the tables."""
     dataset, measurement, rows = Dataset(options.data), Measurement.begin(Dataset(options.data)), []
     chosen = [scene for split in options.splits for scene in list(dataset.split(split, truth=True))[: options.scenes]]
     for recorded in tqdm(chosen, desc="scenes", unit="", disable=None):
-        rows += list(scene_rows(recorded, forgotten_image(recorded, options.unit_mm / MM, options.masks)))
-    add_tables(measurement, rows, f"{len(chosen)} scenes, depths in {options.unit_mm:g} mm, masks {options.masks}")
+        rows += list(scene_rows(recorded, rounded_image(recorded, options.unit_mm / MM)))
+    add_tables(measurement, rows, f"{len(chosen)} scenes, depths in {options.unit_mm:g} mm, masks given")
     measurement.report(options.out)
+
+
+def rounded_image(recorded: RecordedScene, unit: float) -> LabelledDepth:
+    """The noisy image of a scene with its masks, rounded to a unit [m] as by a camera's driver."""
+    image = recorded.labelled_depth(SENSOR)
+    steps = np.float32(unit / DEPTH_GRID)
+    depth = np.rint(np.rint(image.view.depth / np.float32(unit)) * steps) * np.float32(DEPTH_GRID)
+    view = View(image.view.camera, image.view.world_from_camera, depth)
+    return LabelledDepth(view, image.labels)
 
 
 def scene_rows(recorded: RecordedScene, image: LabelledDepth) -> Iterator[Row]:
@@ -97,9 +106,7 @@ def scene_rows(recorded: RecordedScene, image: LabelledDepth) -> Iterator[Row]:
     shown = set(np.unique(image.labels).tolist())
     names = {f"part {i}": i for i in range(len(parts)) if FIRST_PART_LABEL + i in shown}
     shapes = [KnownShape.of(name, parts[i][0]) for name, i in names.items()]
-    start = time.process_time()
-    found = register_scene(image, KnownShape.upright(KITS, kits), shapes)
-    seconds = time.process_time() - start
+    seconds, found = timed(lambda: register_scene(image, KnownShape.upright(KITS, kits), shapes), process_time)
     camera_from_world = recorded.view("ideal").world_from_camera.inverse()
     true_scale, kits_found = _true_scale(recorded), found.bodies[0].placed.camera_from_body
     for body in found.bodies:
@@ -140,7 +147,7 @@ def _body_row(body: RegisteredBody, found: RegisteredScene, mesh: Mesh, true: Po
 
 
 def _true_scale(recorded: RecordedScene) -> float:
-    """Measured over true depth, as the median of an image."""
+    """The median ratio of measured and true depth in the image of a scene."""
     measured, ideal = recorded.view(SENSOR).depth, recorded.view("ideal").depth
     both = (measured > 0) & (ideal > 0)
     return float(np.median(measured[both] / ideal[both]))
@@ -152,9 +159,9 @@ def _symmetry(recorded: RecordedScene, index: int) -> Symmetry:
 
 
 def add_tables(measurement: Measurement, rows: Sequence[Row], setting: str) -> None:
-    """Add the tables of errors, of what passes as sure, and of the depth scale."""
+    """Add the tables of errors, of bodies that are reported as certain, and of the depth scale."""
     errors = measurement.table("errors", f"Poses of known shapes; {setting}", *ERRORS)
-    sure = measurement.table("sure", f"Bodies that the image alone settles; {setting}", *SURE)
+    sure = measurement.table("sure", f"Bodies whose pose the image alone determines; {setting}", *SURE)
     for what in ("kits", "part"):
         own = [row for row in rows if row["what"] == what]
         if not own:
@@ -192,4 +199,4 @@ def add_tables(measurement: Measurement, rows: Sequence[Row], setting: str) -> N
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Options, description=__doc__))
+    run(main, Labelling, __doc__)

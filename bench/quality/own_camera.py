@@ -1,13 +1,12 @@
-"""How well `kit1000 import` makes scenes: simulated images through the files that people have, and real images.
+"""Quality of the scenes that `kit1000 import` makes of simulated images in users' file formats, and of real images.
 
     python bench/quality/own_camera.py data/kit1000 --scenes 13
-    python bench/quality/own_camera.py data/kit1000 --rosbags ENV/bin/python --images DIR --seat
+    python bench/quality/own_camera.py data/kit1000 --images DIR --seat
 
-Each scene's d415 image is saved as a user would save it, everything else is forgotten, and the import's table, masks
-and depths are compared with the scene. With --seat, a method predicts on the imported scene, on the original with
-predicted masks, and with guesses on images from up to four places that are imported together. DIR holds real depth
-images with a manifest.csv (file, sensor, metres_a_unit, fx, fy, cx, cy, and foreground_mask: all that is no
-background).
+The d415 image of each scene is saved as a user would save it, and imported. Table, masks and depths of the import are
+compared with the scene. With --seat, a method predicts on the imported scene, on the original with predicted masks, and
+with guesses on images from up to four places that are imported together. DIR holds real depth images with a
+manifest.csv (file, sensor, metres_a_unit, fx, fy, cx, cy, and foreground_mask: everything but the background).
 """
 
 from __future__ import annotations
@@ -15,18 +14,17 @@ from __future__ import annotations
 import csv
 import io
 import json
-import subprocess
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import tyro
 from PIL import Image
 
-from bench.measured_dataset import measured_dataset
+from bench.measured import measured_dataset, run
 from bench.quality.camera_conditions import AZIMUTHS, orbited
 from benchmark.measurements import Column, Measurement, Table, rate
 from kit1000.capture.frame_selection import Selection
@@ -37,7 +35,6 @@ from kit1000.capture.own_scene import OwnScene, Wanted
 from kit1000.dataset.mcap_io import ObservationWriter
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.dataset.schema import Observation
-from kit1000.errors import InputError, Kit1000Error
 from kit1000.metrics import Targets, pose_errors, seatings
 from kit1000.perception.calibration import calibrated_by
 from kit1000.perception.calibration.plane import table_plane
@@ -52,9 +49,8 @@ from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, Query, Truth, View
 
 SENSOR, TRACK, SNAP_TRACK = "d415", "place-d415", "snap-d415"
 PLACES = (1, 2, 4)  # numbers of images, from the first of AZIMUTHS
-BAG_WRITER = Path(__file__).parents[1] / "outside" / "ros_bag.py"
 MM, FINE = 1e-3, 1e-4  # [m] units
-FORMATS = ("mm-png", "fine-png", "npy", "foxglove", "ros", "ros-compressed")
+Format = Literal["mm-png", "fine-png", "npy", "foxglove"]
 TRIP = (
     Column("format", "format"),
     Column("n", "scenes"),
@@ -89,10 +85,8 @@ class OwnCamera:
     """Dataset folder with ground truth; without one a tiny dataset is generated."""
     scenes: int = 13
     """Number of scenes, those that have a query of place-d415, over all splits."""
-    formats: tuple[str, ...] = FORMATS[:4]
-    """Some of mm-png, fine-png, npy, foxglove, and with --rosbags ros and ros-compressed."""
-    rosbags: Path | None = None
-    """Python of an environment with the package rosbags, which writes ROS 2 bags; adds both formats."""
+    formats: tuple[Format, ...] = ("mm-png", "fine-png", "npy", "foxglove")
+    """Files in which the images are saved."""
     images: Path | None = None
     """Folder of real images with a manifest.csv."""
     method: str = "registration-completed"
@@ -118,20 +112,15 @@ class Trip(NamedTuple):
 
 def main(options: OwnCamera) -> None:
     """Import, compare, print."""
-    formats = (*options.formats, *(FORMATS[4:] if options.rosbags else ()))
-    for name in formats:
-        if name not in FORMATS or (name in FORMATS[4:] and options.rosbags is None):
-            raise InputError(f"--formats {name}: expected {', '.join(FORMATS[:4])}; ROS 2 bags with --rosbags PYTHON")
     with measured_dataset(options.data) as (dataset, folder):
         measurement = Measurement.begin(dataset)
-        command = measurement.setting["command"]
-        for given, shown in ((options.images, "IMAGES"), (options.rosbags, "PYTHON")):
-            command = command.replace(str(given), shown) if given else command
-        measurement.setting["command"] = command
+        if options.images is not None:
+            command = measurement.setting["command"]
+            measurement.setting["command"] = command.replace(str(options.images), "IMAGES")
         scenes = _scenes(dataset, options.scenes)
         trips = measurement.table("round-trip", "Simulated d415 images saved, and imported again", *TRIP)
-        for name in formats:
-            _add_trips(trips, name, [_trip(scene, _imported(scene, name, folder, options.rosbags)) for scene in scenes])
+        for name in options.formats:
+            _add_trips(trips, name, [_trip(scene, _imported(scene, name, folder)) for scene in scenes])
         if options.seat:
             seated = measurement.table("seated", f"{options.method} on {TRACK}", *SEAT)
             _add_seated(seated, options, dataset, scenes, folder)
@@ -149,18 +138,18 @@ def _scenes(dataset: Dataset, count: int) -> list[RecordedScene]:
     return [scene for scene in scenes if any(query.track == TRACK for query in scene.queries)][:count]
 
 
-def _imported(scene: RecordedScene, name: str, folder: Path, rosbags: Path | None) -> OwnScene:
+def _imported(scene: RecordedScene, name: str, folder: Path) -> OwnScene:
     """The scene that is imported from its image, saved as a format has it."""
     with tempfile.TemporaryDirectory(dir=folder) as temporary:
         source = Path(temporary)
-        intrinsics, selection = _saved(scene, name, source, rosbags)
+        intrinsics, selection = _saved(scene, name, source)
         sources = (next(path for path in sorted(source.iterdir()) if path.suffix != ".json"),)
         wanted = Wanted(device="D415", stream="raw", networks=networks_available())
         (own,) = imported_scenes(Import(sources, source / "out", intrinsics, selection, wanted))
         return own
 
 
-def _saved(scene: RecordedScene, name: str, folder: Path, rosbags: Path | None) -> tuple[tuple[str, ...], Selection]:
+def _saved(scene: RecordedScene, name: str, folder: Path) -> tuple[tuple[str, ...], Selection]:
     """Write the image of a scene; returns the intrinsics to give, and which frame to take."""
     view = scene.view(SENSOR)
     camera = view.camera
@@ -169,29 +158,21 @@ def _saved(scene: RecordedScene, name: str, folder: Path, rosbags: Path | None) 
         with ObservationWriter(folder / "scene.mcap") as writer:
             writer.add(Observation(scene.id, {SENSOR: view}))
         return (), Selection()
-    if name.startswith("ros"):
-        depth, png = _png(view, MM)
-        np.savez(folder / "image.npz", depth=depth, intrinsics=np.array(numbers), png=np.frombuffer(png, np.uint8))
-        words = [str(BAG_WRITER), str(folder / "image.npz"), str(folder / "bag")]
-        kind = "compressed" if name == "ros-compressed" else "raw"
-        subprocess.run([str(rosbags), *words, "--kind", kind], check=True)
-        (folder / "image.npz").unlink()
-        return (), Selection()
     if name == "npy":
         np.save(folder / "depth.npy", view.depth)
     else:
-        (folder / "depth.png").write_bytes(_png(view, MM if name == "mm-png" else FINE)[1])
+        (folder / "depth.png").write_bytes(_png(view, MM if name == "mm-png" else FINE))
     row = dict(zip(("fx", "fy", "ppx", "ppy"), numbers, strict=True)) | {"width": camera.width, "height": camera.height}
     units = {"mm-png": {"depth_units": MM}, "fine-png": {"depth_units": FINE}, "npy": {}}[name]
     (folder / "camera.json").write_text(json.dumps(row | units), encoding="utf-8")
     return (str(folder / "camera.json"),), Selection()
 
 
-def _png(view: View, unit: float) -> tuple[np.ndarray, bytes]:
-    """(H, W) uint16 depths in a unit [m], and the PNG of them."""
-    depth, file = np.rint(view.depth / unit).astype(np.uint16), io.BytesIO()
-    Image.fromarray(depth).save(file, "PNG")
-    return depth, file.getvalue()
+def _png(view: View, unit: float) -> bytes:
+    """A PNG of the depths in a unit [m], 16 bits each."""
+    file = io.BytesIO()
+    Image.fromarray(np.rint(view.depth / unit).astype(np.uint16)).save(file, "PNG")
+    return file.getvalue()
 
 
 def _trip(scene: RecordedScene, own: OwnScene) -> Trip:
@@ -247,7 +228,7 @@ def _add_seated(
     method, clearance = method_of(options.method), dataset.summary["config"]["clearance"]
     original = make_predictor(method_of(f"{options.method}{PREDICTED_MASKS}"), dataset, 0)
     for number, scene in enumerate(scenes):
-        own = _imported(scene, "mm-png", folder, None)
+        own = _imported(scene, "mm-png", folder)
         write_own_folder(folder / f"own-{number}", [own], clearance)
         asked = [query for query in scene.queries if query.track == TRACK]
         motions = _own_motions(scene, own, asked, Dataset(folder / f"own-{number}"), method)
@@ -305,7 +286,7 @@ def _imported_from_places(scene: RecordedScene, folder: Path) -> list[OwnScene]:
         sources, poses = [], []
         for number, azimuth in enumerate(AZIMUTHS):
             view, stem = _view_from(scene, azimuth, number), Path(temporary) / str(number)
-            stem.with_suffix(".png").write_bytes(_png(view, MM)[1])
+            stem.with_suffix(".png").write_bytes(_png(view, MM))
             pose = view.world_from_camera
             row = {"wxyz": pose.wxyz.tolist(), "xyz": pose.xyz.tolist()}
             stem.with_suffix(".json").write_text(json.dumps(row), encoding="utf-8")
@@ -358,7 +339,4 @@ def _foreground(path: Path, own: OwnScene) -> float:
 
 
 if __name__ == "__main__":
-    try:
-        main(tyro.cli(OwnCamera))
-    except Kit1000Error as error:
-        raise SystemExit(f"own_camera: {error}") from error
+    run(main, OwnCamera, __doc__)

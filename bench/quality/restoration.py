@@ -1,16 +1,16 @@
-"""How far depths of the d415 are from the truth: calibrated by the table, restored by rules, and by the network.
+"""Errors of depths of the d415: calibrated by the table, restored by rules, and by the network.
 
     python bench/quality/restoration.py data/kit1000 --split test
 
-Mean absolute error of the depth of the pixels of kits and of parts, in mm, beside edges and elsewhere. Pixels without a
-return count where every way gives them a depth.
+The mean absolute error of depth [mm] is given for pixels of kits and of parts, beside edges and elsewhere. A pixel
+without a return counts if every way gives it a depth.
 """
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 from pathlib import Path
+from time import process_time
 from typing import NamedTuple
 
 import numpy as np
@@ -19,10 +19,9 @@ import tyro
 
 from baselines.training.tasks.restoration.task import beside_jumps
 from baselines.training.tasks.restoration.views import SENSOR, example_of
-from bench.measured_dataset import measured_dataset
+from bench.measured import measured_dataset, run, spread, timed
 from benchmark.measurements import Column, Measurement, Table, estimate
 from kit1000.dataset.reader import RecordedScene
-from kit1000.errors import Kit1000Error
 from kit1000.perception.restoration.restorer import Restorer
 from kit1000.perception.restoration.rules import calibrated_image, closed_gaps, restored_edges
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL
@@ -31,7 +30,7 @@ from kit1000.weights import WEIGHTS
 WAYS = ("calibrated", "rules", "network")
 PLACES = ("kits, beside edges", "kits, elsewhere", "parts, beside edges", "parts, elsewhere")
 SECONDS = (Column("n", "images"), Column("seconds", "mean, s", 2))
-FAR = 5.0  # [mm] from the truth, from which on a pixel shows another surface
+FAR = 5.0  # [mm] a larger error means that the pixel shows another surface
 
 
 @dataclass(frozen=True)
@@ -50,24 +49,22 @@ class Restoration:
 
 
 class Errors(NamedTuple):
-    """The errors in a place of a scene."""
+    """Errors of depth in one of the PLACES of a scene."""
 
     assembly_id: str
     means: list[float]
-    """[mm] by WAYS."""
+    """Mean absolute error of each of the WAYS [mm]."""
     far: list[float]
-    """Shares of pixels that are FAR off, by WAYS."""
+    """Share of pixels with errors above FAR, of each of the WAYS."""
 
 
 def main(options: Restoration) -> None:
-    """Print a table."""
+    """Print the tables."""
     torch.set_num_threads(1)
     restorer = Restorer(options.weights)
     with measured_dataset(options.data) as (dataset, _):
         split = dataset.split(options.split, truth=True)
-        ids = split.scene_ids
-        count = min(options.scenes, len(ids))
-        measured = [_measured(split.scene(ids[i * len(ids) // count]), restorer) for i in range(count)]
+        measured = [_measured(split.scene(name), restorer) for name in spread(split.scene_ids, options.scenes)]
         measurement = Measurement.begin(dataset)
         columns = [
             Column("place", "pixels"),
@@ -81,7 +78,7 @@ def main(options: Restoration) -> None:
         for place in PLACES:
             _add(table, place, [errors[place] for errors, _ in measured if place in errors])
         speed = measurement.table("seconds", "CPU seconds of the network an image", *SECONDS)
-        speed.add(seconds=estimate([seconds for _, seconds in measured]), n=count)
+        speed.add(seconds=estimate([seconds for _, seconds in measured]), n=len(measured))
         measurement.report(options.out)
 
 
@@ -99,9 +96,7 @@ def _measured(scene: RecordedScene, restorer: Restorer) -> tuple[dict[str, Error
     image = calibrated_image(scene.labelled_depth(SENSOR), SENSOR)
     truth = scene.labelled_depth("ideal").view.depth
     labels = np.unique(image.labels[image.labels > 0]).tolist()
-    start = time.process_time()
-    network = restorer(image, SENSOR, labels)
-    seconds = time.process_time() - start
+    seconds, network = timed(lambda: restorer(image, SENSOR, labels), process_time)
     ways = [found.view.depth for found in (closed_gaps(image), restored_edges(image, SENSOR), network)]
     known = np.all([depth > 0 for depth in ways], axis=0)
     beside = beside_jumps(torch.from_numpy(example_of(image, truth)["truth"])[None])[0].numpy()
@@ -121,7 +116,4 @@ def _far(wrong: np.ndarray) -> float:
 
 
 if __name__ == "__main__":
-    try:
-        main(tyro.cli(Restoration))
-    except Kit1000Error as error:
-        raise SystemExit(f"restoration: {error}") from error
+    run(main, Restoration, __doc__)

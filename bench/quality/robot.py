@@ -1,26 +1,27 @@
-"""What the robot makes of true motions, of guesses and of submissions, beside the exact seating test.
+"""Parts that the robot seats with true motions, guesses and submissions, compared with the seating test.
 
     python bench/quality/robot.py data/kit1000 submissions/registration-completed --scenes 60
 
-A part is possible if, moved truly, it lies right side up and a cup seals on it. Shares seated are of these parts.
-Seconds are those of the robot, not of the processor.
+A part is possible if a true motion picks it from above and a cup seals on it. Shares seated refer to these parts. The
+seconds are those of the robot, not of the processor.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from time import process_time
 from typing import Any, NamedTuple
 
 import numpy as np
 import tyro
 from tqdm import tqdm
 
+from bench.measured import run, spread, timed
 from benchmark.measurements import Column, Measurement, estimate, rate
 from kit1000.dataset.reader import Dataset
-from kit1000.errors import InputError, Kit1000Error
+from kit1000.errors import InputError
 from kit1000.metrics import Targets, pose_errors, seatings
 from kit1000.planner.execute import NO_SEAL, NOT_FROM_ABOVE, OUTCOMES, SEATED, PartRun, run_scene
 from kit1000.planner.runs import outcome_counts
@@ -51,16 +52,6 @@ AGREEMENT_COLUMNS = (
     Column("differ", "they differ, %", 1, True),
     Column("seconds", "robot, s", 1),
     Column("median", "median", 1),
-)
-DIFFERENCE_COLUMNS = (
-    MOTIONS,
-    Column("query", "query"),
-    Column("outcome", "robot"),
-    Column("test", "test"),
-    Column("position_mm", "position error, mm", 2),
-    Column("rotation_deg", "rotation error, °", 2),
-    Column("height_mm", "rests, mm high", 2),
-    Column("offset_mm", "aside, mm", 2),
 )
 
 
@@ -104,21 +95,20 @@ def main(options: Robot) -> None:
     dataset = Dataset(options.data)
     if options.track not in TRACKS:
         raise InputError(f"--track {options.track}: there are {', '.join(TRACKS)}")
-    ids = dataset.split(options.split).scene_ids
-    count = min(options.scenes, len(ids))
-    chosen = {ids[i * len(ids) // count] for i in range(count)}
     split = dataset.split(options.split)
+    chosen = set(spread(split.scene_ids, options.scenes))
     queries = [query for query in split.queries(options.track) if query.scene_id in chosen]
     truths = {query.id: dataset.truth_of(query) for query in queries}
     motions = {TRUTH: {query.id: truths[query.id].goal_drawn for query in queries}}
     motions |= {f"`{path.name}`": _motions_of(path, queries) for path in options.submissions}
     motions["guess"] = {query.id: query.guess for query in queries if query.guess is not None}
-    start = time.process_time()
-    cases = {name: _execute(dataset, name, queries, truths, moves) for name, moves in motions.items() if moves}
-    runs = sum(map(len, cases.values()))
-    print(f"{(time.process_time() - start) / max(runs, 1):.2f} CPU s a part")
+    seconds, cases = timed(
+        lambda: {name: _execute(dataset, name, queries, truths, moves) for name, moves in motions.items() if moves},
+        process_time,
+    )
+    print(f"{seconds / max(sum(map(len, cases.values())), 1):.2f} CPU s a part")
     measurement = Measurement.begin(dataset)
-    title = f"Possible parts of {count} scenes of {options.split}, track `{options.track}`"
+    title = f"Possible parts of {len(chosen)} scenes of {options.split}, track `{options.track}`"
     add_tables(measurement, cases, title)
     measurement.report(options.out)
 
@@ -159,7 +149,6 @@ def add_tables(measurement: Measurement, cases: Mapping[str, Sequence[Case]], ti
     outcome_columns = [Column(outcome, outcome, 0) for outcome in OUTCOMES]
     outcomes = measurement.table("outcomes", "All parts by outcome", MOTIONS, Column("n", "parts"), *outcome_columns)
     agreement = measurement.table("agreement", "Robot and seating test on picked parts", *AGREEMENT_COLUMNS)
-    differences = measurement.table("differences", "Picked parts on which they differ", *DIFFERENCE_COLUMNS)
     for motions, found in cases.items():
         own = [case for case in found if case.query.id in possible]
         if own:
@@ -168,9 +157,6 @@ def add_tables(measurement: Measurement, cases: Mapping[str, Sequence[Case]], ti
         picked = [case for case in found if case.run.physics]
         if picked:
             agreement.add(motions=motions, n=len(picked), **_agreement(picked))
-        for case in picked:
-            if case.seated != case.tested:
-                differences.add(motions=motions, **_difference(case))
 
 
 def _shares(cases: Sequence[Case]) -> dict[str, Any]:
@@ -191,20 +177,5 @@ def _agreement(picked: Sequence[Case]) -> dict[str, Any]:
     return {key: int(which.sum()) for key, which in counts.items()} | {"differ": rate(seated != tested)} | spent
 
 
-def _difference(case: Case) -> dict[str, Any]:
-    return {
-        "query": case.query.id,
-        "outcome": case.run.outcome,
-        "test": "seated" if case.tested else "not seated",
-        "position_mm": case.position,
-        "rotation_deg": case.rotation,
-        "height_mm": case.run.physics["height_mm"],
-        "offset_mm": case.run.physics["offset_mm"],
-    }
-
-
 if __name__ == "__main__":
-    try:
-        main(tyro.cli(Robot))
-    except Kit1000Error as error:
-        raise SystemExit(f"robot: {error}") from error
+    run(main, Robot, __doc__)

@@ -2,8 +2,8 @@
 
     python bench/quality/segmentation.py data/kit1000 --split test
 
-A part that is not found counts 0. Noisy images are segmented three ways: without networks, restored by a network, and
-with a second network that tells parts apart.
+A part that is not found counts as 0. Noisy images are segmented in three ways: without networks, restored by a network,
+and with a second network that separates parts.
 """
 
 from __future__ import annotations
@@ -17,11 +17,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 import tyro
 
-from bench.measured_dataset import measured_dataset
-from bench.quality.components import add_components
+from bench.measured import add_components, measured_dataset, run, spread
 from benchmark.measurements import Column, Measurement, Table, estimate, rate
 from kit1000.dataset.reader import Dataset, RecordedScene
-from kit1000.errors import Kit1000Error
 from kit1000.metrics.segmentation import matched_masks
 from kit1000.perception.segmentation.instances import segmented
 from kit1000.perception.segmentation.predicted_masks import mask_networks
@@ -105,8 +103,6 @@ def _measured(dataset: Dataset, options: Segmentation, sensor: str, networks: Ne
     restorer, finder = (None, None) if networks == "none" else mask_networks()
     finder = finder if networks == "both" else None
     split, scale = dataset.split(options.split, truth=True), dataset.summary["config"]["scale"]
-    ids = split.scene_ids
-    count = min(options.scenes, len(ids))
 
     def masks_of(scene: RecordedScene) -> Masks:
         image = scene.labelled_depth(sensor)
@@ -117,7 +113,7 @@ def _measured(dataset: Dataset, options: Segmentation, sensor: str, networks: Ne
         crowded = any(truth.crowded for truth in scene.truths.values())
         return Masks(scene.scene.bodies[0].id, crowded, iou, found.max() == image.labels.max(), seconds)
 
-    return [masks_of(split.scene(ids[i * len(ids) // count])) for i in range(count)]
+    return [masks_of(split.scene(name)) for name in spread(split.scene_ids, options.scenes)]
 
 
 def _add(table: Table, sensor: str, networks: Networks, found: Sequence[Masks]) -> None:
@@ -144,7 +140,4 @@ def _add_component(path: Path, sensor: str, networks: Networks, found: Sequence[
 
 
 if __name__ == "__main__":
-    try:
-        main(tyro.cli(Segmentation))
-    except Kit1000Error as error:
-        raise SystemExit(f"segmentation: {error}") from error
+    run(main, Segmentation, __doc__)

@@ -1,8 +1,8 @@
-"""CPU seconds of `kit1000 kit` on mesh files, such as CAD parts of others: start, reading, kit, preview and report.
+"""CPU seconds of `kit1000 kit` on mesh files of a folder: start, reading, kit, preview and report.
 
     python bench/speed/kit_files.py PARTS
 
-Each file is a command of its own, as for a user. Compiled modules and loops are cached by a first one.
+Each file is one command, as for a user. A first command, which is not counted, compiles modules and loops.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ import numpy as np
 import tyro
 from tqdm import tqdm
 
+from bench.measured import run, spread
 from benchmark.measurements import Column, Measurement, estimate
-from kit1000.errors import Kit1000Error
 from kit1000.parts.files.read import mesh_files
 
 UNUSUAL = ("PYTHONDONTWRITEBYTECODE", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
@@ -51,8 +51,7 @@ class KitFiles:
 def main(options: KitFiles) -> None:
     """Print the table."""
     found = mesh_files(options.parts)
-    count = min(options.files or len(found), len(found))
-    paths = [found[i * len(found) // count] for i in range(count)]
+    paths = spread(found, options.files or len(found))
     seconds: dict[str, list[float]] = {MADE: [], REFUSED: []}
     command(paths[0])  # numba compiles on the first
     for path in tqdm(paths, desc="files", disable=None):
@@ -68,7 +67,7 @@ def main(options: KitFiles) -> None:
 
 
 def command(path: Path) -> tuple[float, str]:
-    """The CPU seconds of the command on one file, and whether it makes a kit."""
+    """The CPU seconds of the command on one file, and whether it makes a kit: MADE or REFUSED."""
     with tempfile.TemporaryDirectory() as folder:
         line = [sys.executable, "-m", "kit1000", "kit", str(path), "--out", str(Path(folder) / "kit")]
         before = _seconds_of_children()
@@ -77,7 +76,7 @@ def command(path: Path) -> tuple[float, str]:
 
 
 def _environment() -> dict[str, str]:
-    """That of a user: libraries choose their threads, and compiled modules stay for the next command."""
+    """The environment of a user: libraries choose their threads, and compiled modules stay for the next command."""
     return {name: value for name, value in os.environ.items() if name not in UNUSUAL}
 
 
@@ -93,7 +92,4 @@ def _summary(values: list[float]) -> dict[str, object]:
 
 
 if __name__ == "__main__":
-    try:
-        main(tyro.cli(KitFiles))
-    except Kit1000Error as error:
-        raise SystemExit(f"kit_files: {error}") from error
+    run(main, KitFiles, __doc__)

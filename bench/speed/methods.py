@@ -2,8 +2,8 @@
 
     python bench/speed/methods.py data/kit1000
 
-Without a folder a tiny dataset is generated first. Images and meshes are in memory when the clock starts; the first
-query of each method, which compiles, is not counted.
+Without a folder a tiny dataset is generated first. Images and meshes are in memory when the clock starts. The first
+query of each method is not counted, because it compiles.
 """
 
 from __future__ import annotations
@@ -14,11 +14,9 @@ from pathlib import Path
 import tyro
 
 from baselines.catalog import method_of
-from bench.measured_dataset import measured_dataset
-from bench.speed.timing import timed
+from bench.measured import measured_dataset, run, timed
 from benchmark.measurements import Column, Measurement, estimate
 from kit1000.dataset.reader import Dataset
-from kit1000.errors import Kit1000Error
 from kit1000.prediction.making import make_predictor
 
 METHODS = ("icp", "registration", "registration-completed", "registration-gtvol")
@@ -89,7 +87,4 @@ def _timed(dataset: Dataset, name: str, track: str, most: int) -> tuple[list[flo
 
 
 if __name__ == "__main__":
-    try:
-        main(tyro.cli(Methods))
-    except Kit1000Error as error:
-        raise SystemExit(f"methods: {error}") from error
+    run(main, Methods, __doc__)

@@ -21,11 +21,10 @@ import torch
 import tyro
 from torch.utils.data import DataLoader, RandomSampler, Subset
 
-from bench.measured_dataset import measured_dataset
+from bench.measured import measured_dataset, run
 from benchmark.measurements import Column, Measurement
 from kit1000.dataset.reader import Split
 from kit1000.dataset.torch import Item, QueryDataset, depth_item
-from kit1000.errors import Kit1000Error
 from kit1000.pose import Pose
 from kit1000.values import Query, Truth, View
 from kit1000.voxels import Grid, tsdf
@@ -170,7 +169,4 @@ def _compute(seconds: float) -> None:
 
 
 if __name__ == "__main__":
-    try:
-        main(tyro.cli(Reading, description=__doc__))
-    except Kit1000Error as error:
-        raise SystemExit(f"reading: {error}") from error
+    run(main, Reading, __doc__)

@@ -16,11 +16,9 @@ import numpy as np
 import tyro
 from scipy.spatial import ConvexHull
 
-from bench.measured_dataset import measured_dataset
-from bench.speed.timing import timed
+from bench.measured import measured_dataset, run, spread, timed
 from benchmark.measurements import Column, Measurement, Table, estimate
 from kit1000.dataset.reader import Dataset
-from kit1000.errors import Kit1000Error
 from kit1000.metrics import Targets, pose_errors, seatings
 from kit1000.pose import Pose
 from kit1000.queries.motions import goal_motion, goal_pose
@@ -81,8 +79,7 @@ def main(options: Scoring) -> None:
         _add_pose_errors(measurement.table("errors", title, *POSE_COLUMNS), dataset, truths, options)
         title = "Seating test of predictions with random errors"
         table = measurement.table("seating", title, *SEATING_COLUMNS)
-        count = min(options.queries, len(truths))
-        some = [truths[i * len(truths) // count] for i in range(count)]
+        some = spread(truths, options.queries)
         for name in ERRORS:
             _add_seatings(table, dataset, some, name, options.seed)
         measurement.report(options.out)
@@ -172,7 +169,4 @@ def _add_seatings(table: Table, dataset: Dataset, truths: list[Truth], name: str
 
 
 if __name__ == "__main__":
-    try:
-        main(tyro.cli(Scoring, description=__doc__))
-    except Kit1000Error as error:
-        raise SystemExit(f"scoring: {error}") from error
+    run(main, Scoring, __doc__)

@@ -8,7 +8,7 @@ a slot with more than 4.2 mm of clearance a part that lies on the floor can turn
 limit of the rotation, and 10 degrees that of the tilt. The strict test has 1 mm in place of 3. The motion to contact
 does not rotate the part, so its rotation is the predicted one; without that limit, jammed parts 17 degrees off would
 count. `contact_offset` computes the contact in closed form on faces and edges; the tests compare it with an independent
-computation by exact booleans, `bench/exact_offset.py`, within BISECTION_STEP. All lengths are metres.
+computation by exact booleans, `tests/samples/exact_offset.py`, within BISECTION_STEP. All lengths are metres.
 """
 
 from __future__ import annotations

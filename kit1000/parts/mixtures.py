@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from kit1000.rng import stream
 
-# The weights make the mixture as holed, filled and slender as real machine parts (bench/quality/parts.py). A mixture is
+# The weights make the mixture as holed, filled and slender as real machine parts (docs/results/data.md). A mixture is
 # frozen once a dataset was drawn from it: its plan and every redraw depend on the names and the weights. So it stands
 # apart from the catalog, where families are added freely; a mixture that draws a new family has a new name.
 MIXTURES: dict[str, dict[str, float]] = {

@@ -6,7 +6,7 @@ fx * baseline / depth: fattened edges, ramps at small jumps, no return in shadow
 angles, noise, bending, rounding; then depth scale, range, and the grid of stored depths.
 
 Sources: "images" are the public D415, D435 and PhoXi images of docs/reference/sensors.md, whose statistics
-`bench/quality/sensor_statistics.py` sets beside those of these sensors; other sources stand where they are used.
+results/sensor-statistics.json holds beside those of these sensors; other sources stand where they are used.
 """
 
 from __future__ import annotations

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from manifold3d import Manifold
 from numpy.typing import ArrayLike
 
-from bench.exact_offset import swept_solid
 from kit1000.errors import InputError, Redraw
 from kit1000.kits.assembly import (
     GROUND_GAP,
@@ -31,6 +30,7 @@ from kit1000.kits.kit import PLATE_GAP
 from kit1000.mesh import Mesh, body_count, defect_float32, mesh_from_solid, solid_from_mesh
 from kit1000.pose import Pose
 from kit1000.values import Assembly, Mount, Part
+from tests.samples.exact_offset import swept_solid
 from tests.samples.kits import QUICK, sample_kit, sample_part
 
 DEGREE = np.pi / 180

@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from manifold3d import CrossSection, Manifold
 
-from bench.exact_offset import contact_offset_by_booleans, swept_solid
 from kit1000.kits.goals import Design, find_goals
 from kit1000.kits.loose_fits import MOST_TILT, find_loose_fit, is_near_goal, turned_matrix
 from kit1000.kits.prepared import PreparedKit, PreparedPart
@@ -18,6 +17,7 @@ from kit1000.kits.seating import BISECTION_STEP, InsertedPart
 from kit1000.mesh import Mesh, solid_from_mesh
 from kit1000.pose import Pose
 from kit1000.values import Kit
+from tests.samples.exact_offset import contact_offset_by_booleans, swept_solid
 from tests.samples.shapes import Z, box, seated
 
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from manifold3d import Manifold
 
-from bench.exact_offset import contact_offset_by_booleans, swept_solid
 from kit1000.kits.goals import Design, find_goals
 from kit1000.kits.loose_fits import find_fit_in_other_slot, find_loose_fit, is_near_goal
 from kit1000.kits.prepared import PreparedKit, PreparedPart
@@ -17,6 +16,7 @@ from kit1000.mesh import Mesh, solid_from_mesh
 from kit1000.pose import Pose, quaternion_angle
 from kit1000.symmetry import Symmetry
 from kit1000.values import FreeAxis, Kit, Slot
+from tests.samples.exact_offset import contact_offset_by_booleans, swept_solid
 from tests.samples.shapes import Z, as_part, box, cylinder, ell, leaning_prism, ring_plate, seated, upturned_tee
 
 

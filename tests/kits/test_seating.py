@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from manifold3d import Manifold
 
-from bench.exact_offset import contact_offset_by_booleans, swept_solid
 from kit1000.kits.acceptance import rotated_about_centroid
 from kit1000.kits.seating import (
     BISECTION_STEP,
@@ -24,6 +23,7 @@ from kit1000.kits.seating import (
 from kit1000.mesh import mesh_from_solid, solid_from_mesh
 from kit1000.pose import Pose
 from kit1000.values import Kit, Part
+from tests.samples.exact_offset import contact_offset_by_booleans, swept_solid
 from tests.samples.kits import QUICK, sample_kit, sample_part
 from tests.samples.shapes import (
     MM,

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.quality.forgotten_truth import write_forgotten
 from benchmark.__main__ import main as benchmark
 from kit1000.cli import main
 from kit1000.dataset.mcap_io import ObservationFile
@@ -29,6 +28,7 @@ from kit1000.perception.sensor_facts import SensorFacts, sensor_of
 from kit1000.pose import Pose
 from kit1000.submission import Manifest, write_submission
 from kit1000.values import Prediction
+from tests.samples.forgotten_truth import write_forgotten
 from tests.samples.labelled_scenes import CLEARANCE, SCENE, sample_scene, shapes_folder, true_record
 
 OTHER = "test-s0001"

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.quality.forgotten_truth import write_forgotten
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.files import read_json, write_json
@@ -21,6 +20,7 @@ from kit1000.pose import Pose
 from kit1000.queries.motions import goal_motion
 from kit1000.sim.layout import UPRIGHT
 from kit1000.values import LabelledDepth
+from tests.samples.forgotten_truth import write_forgotten
 from tests.samples.labelled_scenes import CLEARANCE, SCENE, own_folder, sample_scene, shapes_folder, true_record
 
 PERSON = "A. Person"

@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from manifold3d import Manifold, OpType
 
-from bench.exact_offset import contact_offset_by_booleans, swept_solid
 from kit1000.errors import InputError, ShapeError
 from kit1000.kits.acceptance import rotated_about_centroid, seating_at
 from kit1000.kits.prepared import PreparedKit
@@ -32,6 +31,7 @@ from kit1000.metrics.seating import SeatingTestResult, as_seatings, is_over_plat
 from kit1000.pose import Pose, random_quaternions
 from kit1000.queries.motions import goal_motion
 from kit1000.values import Assembly, FreeAxis, Kit, Mount, Part, Truth
+from tests.samples.exact_offset import contact_offset_by_booleans, swept_solid
 from tests.samples.kits import QUICK, sample_kit, sample_part
 from tests.samples.shapes import cylinder, leaning_prism, lying_cylinder, random_solid, seated, upturned_tee
 

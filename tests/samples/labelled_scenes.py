@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.quality.forgotten_truth import SENSOR, write_forgotten
 from kit1000.camera import Camera, look_at
 from kit1000.dataset.mesh_files import glb_bytes
 from kit1000.dataset.tables import FORMAT, assembly_row, kit_row, part_row
@@ -24,6 +23,7 @@ from kit1000.sim.layout import table
 from kit1000.sim.render import render
 from kit1000.sim.sensors import DEPTH_GRID
 from kit1000.values import LabelledDepth, Part, View
+from tests.samples.forgotten_truth import SENSOR, write_forgotten
 from tests.samples.kits import sample_kit, sample_part
 
 SMALL: Camera = CAMERA.scaled(0.6)

@@ -1,32 +1,19 @@
-"""Simulated insertions: forces of the physics engine, outcomes in closed form, pegs in cavities, the study's report."""
+"""Simulated insertions: forces of the physics engine, outcomes in closed form, pegs in cavities."""
 
 from __future__ import annotations
 
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.spatial import Delaunay
 
-from bench.quality import insertions
-from bench.quality.convex_decomposition import cache_key, convex_pieces, pack_pieces, unpack_pieces
-from bench.quality.insertions import TrialError, agreement_counts, cached_pieces, draw_slots, outcome_counts, study
-from kit1000.dataset.geometry import Geometry
-from kit1000.dataset.mesh_files import glb_bytes
-from kit1000.dataset.tables import FORMAT, assembly_row, kit_row, part_row
-from kit1000.errors import InputError
-from kit1000.files import write_json
 from kit1000.kits.acceptance import rotated_about_centroid
 from kit1000.kits.assembly import AssemblyPlan, build_assembly
-from kit1000.mesh import convex_hull, mesh_from_solid
 from kit1000.pose import Pose
-from kit1000.rng import stream
 from kit1000.sim.insertion import MAX_LAG, InsertionTrial, Workpiece, assembly_obstacles, classify_outcome, insert
 from kit1000.sim.world import MARGIN, STEP_RATE, World
 from kit1000.values import Assembly, FreeAxis, Kit, Part, Slot
-from tests.samples.kits import sample_kit, sample_part
-from tests.samples.shapes import MM, Z, box, ell, seated, standing
+from tests.samples.shapes import MM, Z, box, seated
 
 CUBE = (np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * 0.01).astype(float)
 MOMENTS = np.array([1e-6, 2e-6, 2.5e-6])
@@ -184,95 +171,3 @@ def test_any_goal_and_any_turn_about_a_free_axis_is_seated() -> None:
     for variant, angle in ((two_goals, np.pi), (with_axis, 0.3), (with_axis, 2.0)):
         rest = rotated_about_centroid(slot.goals[0], angle * Z)
         assert classify_outcome(Kit("k", box_peg().kit.mesh, variant, extent), rest, rest).outcome == "seated"
-
-
-def test_pieces_cover_the_part_and_little_more() -> None:
-    mesh = mesh_from_solid(standing(ell()))
-    pieces = convex_pieces(mesh)
-    assert len(pieces) > 1
-    assert sum(convex_hull(piece).volume() for piece in pieces) == pytest.approx(mesh.volume, rel=0.05)
-    x, y, z = stream(0, "inside").uniform((0, 0, 0), (40, 28, 14), (2000, 3)).T  # mm, the L shape before centring
-    depth = np.maximum(np.minimum(40 - x, 12 - y), np.minimum(12 - x, 28 - y))
-    deep = np.minimum.reduce([depth, x, y, z, 14 - z]) > 0.3
-    points = MM * (np.column_stack([x, y, z]) - (20, 14, 0))[deep]
-    inside = np.array([Delaunay(piece).find_simplex(points) >= 0 for piece in pieces]).any(0)
-    assert inside.all()
-
-
-def test_pieces_are_cached_by_mesh_and_read_back_bit_for_bit() -> None:
-    mesh = mesh_from_solid(standing(ell()))
-    assert cache_key(mesh) == cache_key(mesh.scaled(1.0)) != cache_key(mesh.scaled(1.001))
-    assert pack_pieces(ARCH) == pack_pieces(ARCH)
-    read = unpack_pieces(pack_pieces(ARCH))
-    assert read is not None
-    assert [piece.tobytes() for piece in read] == [piece.tobytes() for piece in ARCH]
-    assert unpack_pieces(pack_pieces(ARCH)[:-40]) is None
-    assert unpack_pieces(b"") is None
-
-
-def test_cached_pieces_are_computed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    mesh, calls = mesh_from_solid(standing(ell())), []
-    monkeypatch.setattr(insertions, "convex_pieces", lambda mesh: calls.append(mesh) or ARCH)
-    first, again = cached_pieces(mesh, tmp_path), cached_pieces(mesh, tmp_path)
-    assert [piece.tobytes() for piece in first] == [piece.tobytes() for piece in again]
-    assert len(calls) == 1
-    next(tmp_path.glob("*.npz")).write_bytes(b"damaged")
-    cached_pieces(mesh, tmp_path)
-    assert len(calls) == 2
-
-
-@cache
-def small_pair() -> tuple[Part, Kit]:
-    place = seated(box(34, 22, 20))
-    return place.part, place.kit()
-
-
-def small_dataset(folder: Path) -> Path:
-    """Two assemblies of one box each, level and tilted; the files of a dataset that the study reads."""
-    part, kit = small_pair()
-    kit = Kit(part.id, kit.mesh, kit.slot, kit.extent)
-    assemblies = [build_assembly(f"a{k}", [kit], AssemblyPlan(tilt, 0.4, ())) for k, tilt in enumerate((0.0, 0.3))]
-    assembly_meshes = {assembly.id: assembly.mesh for assembly in assemblies}
-    meshes = {"parts": {part.id: part.mesh}, "kits": {kit.id: kit.mesh}, "assemblies": assembly_meshes}
-    for kind, items in meshes.items():
-        (folder / kind).mkdir(parents=True)
-        for name, mesh in items.items():
-            (folder / kind / f"{name}.glb").write_bytes(glb_bytes({name: mesh.rounded_float32()}))
-    write_json(folder / "parts.json", {part.id: part_row(part)})
-    write_json(folder / "kits.json", {kit.id: kit_row(kit)})
-    write_json(folder / "assemblies.json", {assembly.id: assembly_row(assembly) for assembly in assemblies})
-    write_json(folder / "dataset.json", {"format": FORMAT, "dataset_id": "small"})
-    return folder
-
-
-def test_the_study_compares_physics_with_the_seating_test(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    geometry = Geometry(small_dataset(tmp_path / "data"))
-    monkeypatch.setattr(insertions, "TRIAL_ERRORS", (TrialError("true", 0), TrialError("shift", 8)))
-    monkeypatch.setattr(insertions, "convex_pieces", lambda mesh: [mesh.vertices])
-    rows = study(geometry, tmp_path / "pieces", sample=1, true_only=1)
-    true = [row for row in rows if row["error"]["kind"] == "true"]
-    counts = agreement_counts(true)
-    assert [counts[key] for key in ("n", "both", "test_alone", "physics_alone", "neither")] == [2, 2, 0, 0, 0]
-    assert len(rows) == 3
-    assert outcome_counts(true)["seated"] == 2
-    assert study(geometry, tmp_path / "again", sample=1, true_only=1) == rows
-
-
-def test_slots_are_spread_over_tilt(tmp_path: Path) -> None:
-    geometry = Geometry(small_dataset(tmp_path))
-    assert {round(slot.tilt, 3) for slot in draw_slots(geometry, 2, 0)} == {0.0, 0.3}
-    assert len(draw_slots(geometry, 9, 0)) == 2
-
-
-def test_an_empty_sample_is_rejected(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="sample: expected 1 or more"):
-        study(Geometry(small_dataset(tmp_path / "data")), tmp_path / "pieces", sample=0)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("family", ["bracket", "tee", "channel"])
-def test_sample_pairs_seat_at_the_goal_and_not_far_from_it(family: str) -> None:
-    part, kit = sample_part(family), sample_kit(family)
-    peg = Peg(part, kit, convex_pieces(part.mesh), 0.1)
-    assert peg.outcome(peg.goal) == "seated"
-    assert peg.outcome(peg.shifted(12, 0, 0)) != "seated"

@@ -14,8 +14,8 @@ from baselines.snapnet import convolutions
 from baselines.snapnet.config import POSITION, PositionConfig
 from baselines.snapnet.convolutions import SingleChannelConv, UpsampleConcatConv, correlate, downsampled
 from baselines.snapnet.position import Encoder, PositionNet, kit_region, position_loss, position_of, target_of
-from bench.speed.snap_position import plain_features, plain_scores
 from kit1000.errors import InputError
+from tests.samples.plain_position_net import plain_features, plain_scores
 
 TOY = PositionConfig(1e-3, (16, 16, 32), (48, 32, 64), (8, 8, 9), channels=(2, 3, 4, 5, 6), features=3)
 LOSS = PositionConfig(2e-3, (16, 16, 16), (32, 32, 32), (6, 7, 8))

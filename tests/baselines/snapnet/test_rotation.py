@@ -23,10 +23,10 @@ from baselines.snapnet.set_abstraction import (
     farthest_points,
     squared_distances,
 )
-from bench.speed.snap_rotation import plain_farthest, plain_scores
 from kit1000.errors import InputError
 from kit1000.pose import Pose, quaternion_angle, quaternion_from_rotvec, quaternion_multiply
 from kit1000.rng import stream
+from tests.samples.plain_rotation_net import plain_farthest, plain_scores
 
 TOY = replace(
     ROTATION["small"],

@@ -1,7 +1,4 @@
-"""Own scenes made of generated ones: one noisy view in millimetres and its masks, everything else forgotten.
-
-So a program that takes a user's own depth images can be measured against a truth that it cannot see.
-"""
+"""Folders of own scenes without truth, as an import writes them, made of known images."""
 
 from __future__ import annotations
 
@@ -9,50 +6,17 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from scipy.ndimage import binary_closing, binary_opening, label
 
 from kit1000.capture.own_folder import tracks_of
 from kit1000.dataset.mcap_io import ObservationWriter
-from kit1000.dataset.reader import RecordedScene
 from kit1000.dataset.schema import Observation
 from kit1000.dataset.tables import FORMAT
 from kit1000.files import with_checksum, write_json
 from kit1000.pictures.png_files import png_bytes
 from kit1000.pictures.scene_preview import scene_picture
-from kit1000.sim.sensors import DEPTH_GRID
-from kit1000.values import FIRST_PART_LABEL, LabelledDepth, View
+from kit1000.values import FIRST_PART_LABEL, LabelledDepth
 
 SENSOR = "d415"
-UNIT = 1e-3  # [m] of the depths of most recordings
-LOWEST = 4e-3  # [m] above the table, of a pixel that shows a body
-SMALLEST = 150  # [px] of a body
-
-
-def forgotten_image(recorded: RecordedScene, unit: float = UNIT, masks: str = "given") -> LabelledDepth:
-    """The noisy image of a scene as a camera hands it out, rounded to a unit [m].
-
-    masks: given, or from depth: everything above the table, each piece by the name of the body that it shows most of.
-    """
-    image = recorded.labelled_depth(SENSOR)
-    steps = np.float32(unit / DEPTH_GRID)
-    depth = np.rint(np.rint(image.view.depth / np.float32(unit)) * steps) * np.float32(DEPTH_GRID)
-    view = View(image.view.camera, image.view.world_from_camera, depth)
-    labels = image.labels if masks == "given" else _masks_from_depth(view, image.labels)
-    return LabelledDepth(view, labels)
-
-
-def _masks_from_depth(view: View, labels: np.ndarray) -> np.ndarray:
-    """(H, W) uint8 masks of what stands above z = 0, with the fattened edges of the sensor."""
-    heights = view.world_from_camera.apply(view.camera.unproject(view.depth))[..., 2]
-    above = (view.depth > 0) & (heights > LOWEST)
-    pieces, count = label(binary_closing(binary_opening(above, iterations=1), iterations=2))  # type: ignore[misc]
-    found = np.zeros_like(labels)
-    for piece in range(1, count + 1):
-        inside = pieces == piece
-        names = labels[inside]
-        if inside.sum() >= SMALLEST and (names > 0).any():
-            found[inside] = np.bincount(names[names > 0]).argmax()
-    return np.where(above, found, 0).astype(np.uint8)
 
 
 def write_forgotten(folder: Path, scenes: Mapping[str, LabelledDepth], clearance: float) -> Path:

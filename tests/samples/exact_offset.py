@@ -1,4 +1,4 @@
-"""The offset to contact by exact booleans: the second computation of the seating test, for tests and benches.
+"""The offset to contact by exact booleans: a second computation of the seating test.
 
 `kit1000.kits.seating.contact_offset` computes it in closed form; both agree within BISECTION_STEP.
 """
