@@ -19,8 +19,7 @@ from benchmark.pages.cases import case_ids, pictures
 from benchmark.table1 import as_html, table_of
 from kit1000.dataset.reader import Dataset
 from kit1000.dataset.schema import LICENCE
-from kit1000.errors import InputError
-from kit1000.files import write_bytes
+from kit1000.files import check_output, write_bytes
 from kit1000.pictures import charts
 
 TEMPLATES = Path(__file__).parent / "templates"
@@ -38,8 +37,7 @@ def build(submissions: Path, out: Path, data: Path | None = None, rescored: bool
     board = read_board(submissions)
     dataset = None if data is None else Dataset(data)
     pages = _environment(board, rescored)
-    if (out / "index.html").is_file() and not (out / "board.js").is_file():
-        raise InputError(f"{out}: holds pages of another origin: they stay; choose another --out")
+    check_output(out, "board.js")
     write_bytes(out / "style.css", ((TEMPLATES / "style.css").read_text("utf-8") + charts.STYLE).encode())
     write_bytes(out / "board.js", (TEMPLATES / "board.js").read_bytes())
     for entry in board.entries:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -19,6 +18,7 @@ from kit1000.capture.scene_report import check_sides, check_size, report
 from kit1000.capture.seen_bodies import MOST_BODIES
 from kit1000.capture.table_search import Table, find_table
 from kit1000.errors import InputError
+from kit1000.files import check_output
 
 CLEARANCES = (0.05, 100.0)  # [mm]
 
@@ -90,7 +90,7 @@ def _check(asked: Import) -> None:
     """Raise InputError for options that cannot be, before anything is read."""
     if not asked.sources:
         raise InputError("SOURCE: expected a depth image or a recording")
-    _check_folder(asked.out)
+    check_output(asked.out)
     if asked.selection.frames < 1 or asked.selection.first < 0:
         raise InputError("--frames: expected 1 or more, --first: 0 or more")
     low, high = CLEARANCES
@@ -105,16 +105,6 @@ def _check(asked: Import) -> None:
         check_sides([1e-3 * side for side in asked.check_mm])
     for path in asked.poses:
         read_pose(path)
-
-
-def _check_folder(out: Path) -> None:
-    """Raise InputError where a folder exists, or where it could not be made."""
-    if os.path.lexists(out):
-        raise InputError(f"{out} exists already: name a new folder with --out")
-    parent = next(parent for parent in out.absolute().parents if parent.exists())
-    if not parent.is_dir() or not os.access(parent, os.W_OK | os.X_OK):
-        why = "is not writable" if parent.is_dir() else "is a file"
-        raise InputError(f"cannot write {out}: {parent} {why}; name another folder with --out")
 
 
 def _intrinsics(asked: Import, frames: Sequence[DepthFrame]) -> Intrinsics | None:

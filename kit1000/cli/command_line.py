@@ -18,7 +18,7 @@ from typing import Any
 
 import tyro
 
-from kit1000.errors import InputError, InternalError, Kit1000Error, internal_error, shown
+from kit1000.errors import InputError, InternalError, Kit1000Error, did_you_mean, internal_error, shown
 from kit1000.interrupts import terminated_as_interrupted
 
 USAGE_ERROR, INTERNAL_ERROR = 2, 3  # exit status: wrong usage or invalid input, bug of the package
@@ -82,6 +82,8 @@ def parse(program: str, commands: Mapping[str, type], about: str, words: Sequenc
     Raises InputError when the words are no valid command line; the message is one line.
     """
     name = words[0] if words else ""
+    if name not in commands and words and not name.startswith("-"):
+        raise InputError(f"no command {name!r}; {did_you_mean(name, commands)}there are {', '.join(commands)}")
     page = f"{program} {name}" if name in commands else program
     box = io.StringIO()
     options: dict[str, Any] = {"prog": page, "config": (tyro.conf.FlagCreatePairsOff,)}  # a switch has no opposite

@@ -21,7 +21,7 @@ from tqdm import tqdm
 
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError, InternalError, Kit1000Error, did_you_mean, failure_text, shown
-from kit1000.files import check_writable
+from kit1000.files import check_output
 from kit1000.parallel import local_engine, usable_cores
 from kit1000.prediction.catalog import TABLES, Method
 from kit1000.prediction.journal import Journal
@@ -106,7 +106,7 @@ def predict(config: RunConfig, data: Path, out: Path, workers: int | None = None
     """
     method, dataset, out = config.method, Dataset(data), out.absolute()
     jobs = jobs_of(dataset, method, config)
-    check_writable(out)
+    check_output(out, "manifest.toml")
     manifest = _manifest(config, method, dataset, {job.track for job in jobs})
     earlier = _earlier_submission(out, manifest)
     run = {"method": config.name, "dataset_id": dataset.id, "splits": config.splits, "tracks": config.tracks}

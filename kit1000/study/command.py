@@ -10,7 +10,7 @@ from typing import Any
 from kit1000.dataset.reader import Dataset
 from kit1000.editor import SNAP
 from kit1000.errors import InputError
-from kit1000.files import check_writable, locked
+from kit1000.files import check_output, locked
 from kit1000.study.plan import DEFAULT, FILE, StudyPlan, make_plan, read_plan, write_plan
 from kit1000.study.records import ParticipantFiles
 from kit1000.study.report import write_report
@@ -45,7 +45,7 @@ def run(request: Request) -> None:
     if request.simulate is not None:
         check_operator(request.simulate)
     if request.simulate is not None or not request.report:
-        check_writable(request.out)
+        check_output(request.out, FILE)
         with locked(request.out):
             _work(request)
     if request.report:

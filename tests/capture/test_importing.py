@@ -195,7 +195,7 @@ WRONG = {  # by what is typed: facts of the answer
     "{tmp}/pointers/0.png --intrinsics 1 2 3 4": "0.png|run git lfs pull",
     "{tmp}/pointers/0.mcap": "0.mcap|run git lfs pull",
     "{tmp} --intrinsics 1 2 3 4": "a folder without an MCAP file",
-    "{image} --out {tmp}": "exists already",
+    "{image} --out {tmp}": "is not empty",
     "{image} {good} --clearance-mm 0": "--clearance-mm|0.05 to 100",
     "{image} {good} --frames 0": "--frames",
     "{image} {good} --frames 2": "--frames 2|groups of 2",
@@ -366,7 +366,7 @@ def test_an_image_is_imported_before_it_is_edited(
     assert Dataset(options.data).split("test").scene_ids == ["test-s0000"]
     assert options.out.parent == image.parent  # not in the folder of the scene, whose files are listed
     assert main(words) == 2  # the folder is there: it is never written over
-    assert "exists already" in capsys.readouterr().err
+    assert "is not empty" in capsys.readouterr().err
 
 
 def test_the_sensor_of_an_image_to_edit_may_be_a_scanner(

@@ -75,7 +75,7 @@ def command(*arguments: object, **options) -> subprocess.Popen[str]:
 INTERRUPTED = "kit1000: interrupted; run the same command again to continue\n"
 WRONG = {  # by what is typed: facts of the answer
     "": "{generate, kit, info, show, verify, export|kit1000 --help",
-    "genrate tiny": "genrate|generate, kit, info",
+    "genrate tiny": "'genrate'|did you mean generate?|kit, info",
     "generate": "PRESET|--out|kit1000 generate --help",
     "generate tiny": "--out",
     "generate tiny --out": "--out|value",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import fields, replace
 from functools import cache
 
@@ -16,7 +15,6 @@ from kit1000.errors import InputError, ShapeError
 from kit1000.metrics import METRIC_VERSIONS, PoseErrors, Targets, nearest_goal_motions, pose_errors
 from kit1000.pose import Pose, quaternion_angle, random_quaternions
 from kit1000.queries.motions import goal_motion, goal_pose
-from kit1000.testing import check_metric
 from kit1000.values import FreeAxis, Slot, Truth
 from tests.samples.strategies import directions, poses, vectors
 
@@ -79,63 +77,6 @@ def largest_distances(predicted: Pose, truth: Truth, goal: int, angles: np.ndarr
     motions = goal_motion(truth.world_from_part, truth.world_from_kit, batch)
     points = truth.world_from_part.apply(corners(truth.part_id))
     return np.linalg.norm(predicted.apply(points) - motions[:, None].apply(points), axis=2).max(axis=1)
-
-
-@pytest.mark.parametrize("name", ["position", "rotation", "mssd"])
-@pytest.mark.parametrize("seed", [0, 1])
-def test_the_errors_keep_the_laws_of_a_metric(name: str, seed: int) -> None:
-    check_metric(lambda predicted, targets: getattr(pose_errors(predicted, targets), name), name, seed=seed)
-
-
-@pytest.mark.parametrize("name", ["position_plain", "rotation_plain"])
-def test_plain_errors_keep_all_laws_but_that_of_symmetry(name: str) -> None:
-    def plain(predicted: Pose, targets: Targets) -> np.ndarray:
-        return getattr(pose_errors(predicted, targets), name)
-
-    check_metric(plain, name, symmetric=False)
-    with pytest.raises(AssertionError, match="equivalent to the drawn one"):
-        check_metric(plain, name)
-
-
-def first_goal(predicted: Pose, targets: Targets) -> np.ndarray:
-    """Ignores symmetry."""
-    first = targets.goals[targets.goal_starts[:-1]]
-    return np.linalg.norm(predicted.apply(targets.anchors) - first.apply(targets.anchors), axis=1)
-
-
-def whole_degrees(predicted: Pose, targets: Targets) -> np.ndarray:
-    return np.round(np.degrees(pose_errors(predicted, targets).rotation)) - 1.0
-
-
-def relative(predicted: Pose, targets: Targets) -> np.ndarray:
-    """To the worst prediction of the batch."""
-    mssd = pose_errors(predicted, targets).mssd
-    return mssd / max(mssd.max(initial=0), 1e-6)
-
-
-def one_axis(predicted: Pose, targets: Targets) -> np.ndarray:
-    """Along x alone."""
-    nearest = nearest_goal_motions(targets, pose_errors(predicted, targets))
-    return np.abs((predicted.apply(targets.anchors) - nearest.apply(targets.anchors))[:, 0])
-
-
-BAD: dict[str, tuple[Callable[[Pose, Targets], np.ndarray], str]] = {
-    "nothing": (lambda predicted, targets: np.zeros(len(targets)), "for a prediction about 5 mm"),
-    "one number": (lambda predicted, targets: np.zeros(()), "of shape .* expected"),
-    "negative": (whole_degrees, "expected 0 or more"),
-    "where it lands": (lambda predicted, targets: np.linalg.norm(predicted.xyz, axis=1), "at the ground truth"),
-    "relative": (relative, "other predictions|truth"),
-    "overflow": (lambda p, t: np.where(pose_errors(p, t).mssd > 1, np.inf, pose_errors(p, t).mssd), "finite"),
-    "one axis": (one_axis, "world"),
-    "first goal": (first_goal, "equivalent to the drawn one|at the ground truth|angles"),
-}
-
-
-@pytest.mark.parametrize("name", BAD)
-def test_a_bad_metric_is_detected(name: str) -> None:
-    bad, message = BAD[name]
-    with pytest.raises(AssertionError, match=message):
-        check_metric(bad, name)
 
 
 @pytest.mark.parametrize("seed", range(4))

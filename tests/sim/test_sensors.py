@@ -299,3 +299,23 @@ def test_pixels_without_a_surface_give_no_return(name: str) -> None:
     assert not sense(name, view, stream(1)).depth[empty].any()
     nothing = View(TINY, Pose.identity(), np.zeros((6, 8), np.float32))
     assert not sense(name, nothing, stream(1)).depth.any()
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_pixels_show_the_surfaces_that_they_look_at(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a bowl of four planes, which distinguishes an offset of the image from an error of scale."""
+    monkeypatch.setitem(SENSORS, name, replace(SENSORS[name], bending_px=(0.0, 0.0)))  # bending shifts planes too
+    rays = CAMERA.unproject(np.ones((CAMERA.height, CAMERA.width)))
+    offset = rays[..., :2] - (0.12, -0.07)  # from the middle of the bowl; a mirrored image would differ
+    true = 1 / (1 + np.abs(offset).sum(axis=-1))
+    view = View(CAMERA, Pose.identity(), true.astype(np.float32))
+    error = sense(name, view, np.random.default_rng(0)).depth - true
+    returned = error > -0.1
+    assert returned.mean() > 0.5
+    median = np.median(np.abs(error[returned]))
+    assert median < 0.01  # [m]
+    kept = returned & (np.abs(error) <= 4 * median + DEPTH_GRID)
+    slopes = -np.sign(offset[kept]) * (true[kept] ** 2)[:, None] / (CAMERA.fx, CAMERA.fy)  # [m/px]
+    basis = np.column_stack([true[kept], slopes])
+    shift = np.linalg.lstsq(basis.T @ basis, basis.T @ error[kept], rcond=None)[0][1:]
+    assert np.abs(shift).max() <= 0.25  # [px]
