@@ -23,7 +23,7 @@ from benchmark.evaluate import PerQuery
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.files import json_bytes, write_bytes
-from kit1000.prediction.imported_sources import imported_modules
+from kit1000.prediction.imported_sources import hash_of, imported_modules
 from kit1000.submission import Predictions
 
 BENCHMARK = Path(__file__).parent
@@ -43,11 +43,7 @@ def evaluator(benchmark: Path = BENCHMARK, library: Path = LIBRARY) -> str:
         library: folder of the package `kit1000`.
     """
     files = {f"benchmark/{path.relative_to(benchmark).as_posix()}": path for path in benchmark.glob(PROTOCOLS)}
-    files |= evaluator_modules(benchmark, library)
-    digest = hashlib.sha256()
-    for name in sorted(files):
-        digest.update(name.encode() + b"\0" + hashlib.sha256(files[name].read_bytes()).digest())
-    return digest.hexdigest()[:DIGITS]
+    return hash_of(files | evaluator_modules(benchmark, library))[:DIGITS]
 
 
 def evaluator_modules(benchmark: Path = BENCHMARK, library: Path = LIBRARY) -> dict[str, Path]:
@@ -60,7 +56,7 @@ def evaluator_modules(benchmark: Path = BENCHMARK, library: Path = LIBRARY) -> d
 
 @cache
 def commit() -> str:
-    """The commit of this checkout, followed by `-dirty` where its code was changed since; `unknown` outside one."""
+    """The commit of this checkout, followed by `-dirty` if its code was changed since; `unknown` outside one."""
     head = _git("rev-parse", "--show-prefix", "HEAD")
     if head is None:
         return UNKNOWN
@@ -73,7 +69,7 @@ def commit() -> str:
 
 
 def _git(*words: str) -> str | None:
-    """The output of git in this checkout; None where there is no git, or no checkout."""
+    """The output of git in this checkout; None if there is no git or no checkout."""
     try:
         done = subprocess.run(["git", *words], cwd=BENCHMARK.parent, capture_output=True, text=True, check=True)
     except (OSError, subprocess.CalledProcessError):
@@ -102,7 +98,7 @@ class ResultCache:
         self.root = root
 
     def rows(self, key: str, measure: Callable[[], PerQuery]) -> PerQuery:
-        """The rows of a key, measured where there is no entry."""
+        """The rows of a key; they are measured if there is no entry."""
         path = self.root / f"{key}.npz"
         rows = _read(path)
         if rows is None:
@@ -121,7 +117,7 @@ def _packed(rows: PerQuery) -> bytes:
 
 
 def _read(path: Path) -> PerQuery | None:
-    """The rows of an entry; None where there is none, or a damaged one."""
+    """The rows of an entry; None if it is absent or damaged."""
     try:
         with np.load(path, allow_pickle=False) as stored:
             columns = {name: stored[name] for name in stored.files}

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from baselines.catalog import METHOD_TABLES, method_of
+from baselines.catalog import method_of, run_config
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.parallel import local_engine
@@ -76,7 +76,7 @@ def rerun(folder: Path, data: Path, first: int, workers: int | None = None) -> R
     method_of(name)  # before anything is read
     jobs, pivots = _jobs_and_pivots(dataset, query_ids, folder)
     with local_engine(workers) as spread:
-        predictions = spread(partial(predict_job, dataset.root, name, 0, METHOD_TABLES), jobs)
+        predictions = spread(partial(predict_job, dataset.root, run_config(name)), jobs)
         bar = tqdm(predictions, folder.name, len(jobs), unit="query", disable=None)
         found = {prediction.query_id: prediction for prediction in bar}  # in the order of completion
     again = Predictions.of([found[query_id] for query_id in query_ids])

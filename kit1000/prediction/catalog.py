@@ -1,4 +1,4 @@
-"""The catalog of methods: what a method is before it is made, and the tables that list them.
+"""The catalog of methods: the description of a method before it is made, and the tables that list methods.
 
 A table is a package or module with METHODS (name -> Method). The library lists its own in TABLES; others are passed
 beside them. Entries name code as `module:Object`, so reading a table loads no network.
@@ -32,7 +32,7 @@ class Method:
     tracks: tuple[str, ...] = ALL_TRACKS
     """Tracks it predicts for; a method that corrects a guess needs one of GUESS_TRACKS."""
     uses_true_geometry: bool = False
-    """Whether it is handed the true geometry; the controls read the ground truth as well."""
+    """Whether it gets the true geometry; the controls read the ground truth as well."""
     learned: bool = False
     control: bool = False
     """Whether it is a control, such as the unchanged guess, and no method."""
@@ -40,7 +40,7 @@ class Method:
     masks: Literal["given", "predicted"] = "given"
     """Masks it reads: those of the dataset, or those that `kit1000.perception.segmentation` finds in the image."""
     training_data: str = ""
-    """What it learned from."""
+    """The data that it learned from."""
     weights: Mapping[str, Path] = field(default_factory=dict)
     """Further arguments of the class: weight files, without suffix."""
     camera_set: str = "primary"
@@ -57,10 +57,10 @@ def all_methods(tables: Sequence[str] = TABLES) -> dict[str, Method]:
 
 
 def merged(table: str, folders: Sequence[str]) -> dict[str, Any]:
-    """The entries of a table of several packages or modules; none where a package lacks it.
+    """The entries of a table of several packages or modules; none if a package lacks it.
 
     Raises:
-        InputError: a name that two of them declare.
+        InputError: two packages declare one name.
     """
     found: dict[str, Any] = {}
     for folder in folders:

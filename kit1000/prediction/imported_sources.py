@@ -1,8 +1,9 @@
-"""The source files that a module imports, directly or not: equal files give equal results."""
+"""The source files that a module imports, directly or not, and their hash: equal files give equal results."""
 
 from __future__ import annotations
 
 import ast
+import hashlib
 from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
@@ -15,7 +16,7 @@ def imported_modules(entries: Iterable[str], roots: Mapping[str, Path]) -> dict[
 
     Args:
         entries: dotted names of the modules to begin with.
-        roots: the packages that are followed: folder, or file where it is a single module, by name.
+        roots: folders of the packages to follow, by name; for a single module its file.
     """
     found: dict[str, Path] = {}
     waiting = list(entries)
@@ -29,8 +30,16 @@ def imported_modules(entries: Iterable[str], roots: Mapping[str, Path]) -> dict[
     return found
 
 
+def hash_of(files: Mapping[str, Path]) -> str:
+    """SHA-256 in hex of files and their names."""
+    digest = hashlib.sha256()
+    for name in sorted(files):
+        digest.update(name.encode() + b"\0" + hashlib.sha256(files[name].read_bytes()).digest())
+    return digest.hexdigest()
+
+
 def _file_of(module: str, roots: Mapping[str, Path]) -> Path | None:
-    """The file of a module; None where it is in none of the packages, or no module but a name inside one."""
+    """The file of a module; None if it is in none of the packages, or if it is a name inside a module."""
     package, *rest = module.split(".")
     if package not in roots:
         return None
@@ -53,7 +62,7 @@ def _imported_names(source: bytes) -> frozenset[str]:
             names |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
         elif isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
             waiting += node.orelse
-        else:  # no expression imports: blocks of statements are enough
+        else:  # expressions import nothing
             for block in ("body", "orelse", "finalbody", "handlers", "cases"):
                 inner = getattr(node, block, [])
                 waiting += inner if isinstance(inner, list) else []

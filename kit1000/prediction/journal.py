@@ -18,9 +18,9 @@ class Journal:
     """A file with the run's settings in the first line and a prediction in each further one; locked by one run."""
 
     def __init__(self, path: Path, settings: Mapping[str, Any]) -> None:
-        """Continue a journal, or begin one; raises InputError where it is of a run with other settings.
+        """Continue a journal, or begin one; raises InputError if it belongs to a run with other settings.
 
-        settings: what the predictions depend on, as JSON has it.
+        settings: all that the predictions depend on, as values of JSON.
         """
         self.path = path
         check_writable(path.parent)

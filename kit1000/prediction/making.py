@@ -1,8 +1,9 @@
-"""How a method is made, from its name in the catalog or from `module:Object` or `file.py:Object` of your own."""
+"""How a method is made: from its name in the catalog or from your own `module:Object` or `file.py:Object`, with the
+published weights or those of your own training runs.
+"""
 
 from __future__ import annotations
 
-import hashlib
 import inspect
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,10 +13,11 @@ from typing import Any
 
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError, InternalError, Kit1000Error, did_you_mean, failure_text
+from kit1000.files import read_json, sha256
 from kit1000.perception.segmentation import predicted_masks
 from kit1000.perception.segmentation.predicted_masks import MASKS_WEIGHTS, OnPredictedMasks
 from kit1000.prediction.catalog import TABLES, Method, all_methods
-from kit1000.prediction.imported_sources import imported_modules
+from kit1000.prediction.imported_sources import hash_of, imported_modules
 from kit1000.predictor import Predictor, module_and_object, resolved
 from kit1000.queries.tracks import ALL_TRACKS
 from kit1000.weights import WEIGHTS
@@ -27,12 +29,15 @@ ATTRIBUTES = (
     *("tracks", "uses_true_geometry", "learned", "predicts"),
     *("training_data", "camera_set", "label", "paper_row"),
 )
-"""What is read from a method of your own."""
-PREDICTED_MASKS = "+predicted-masks"  # after the name of a method: it is run without the masks of the dataset
+"""Attributes that describe your own method."""
+PREDICTED_MASKS = "+predicted-masks"  # after the name of a method: it runs without the masks of the dataset
+BEST = "best"  # stem of the best weights in the folder of a run
+MAX_LABEL = 80  # characters of a label in a manifest
+DIGITS = 12  # of a hash in a text
 
 
 def method_of(name: str, tables: Sequence[str] = TABLES) -> Method:
-    """A method of the tables, or one of your own by `module:Object` or `file.py:Object`, described by its ATTRIBUTES.
+    """A method of the tables, or your own by `module:Object` or `file.py:Object`, described by its ATTRIBUTES.
 
     With PREDICTED_MASKS after its name it reads predicted masks.
     """
@@ -71,7 +76,7 @@ def make_predictor(method: Method, dataset: Dataset, seed: int) -> Predictor:
 
 
 def _on_predicted_masks(method: Method) -> Method:
-    """A method that reads predicted masks; raises InputError where masks are no input of it."""
+    """A method that reads predicted masks; raises InputError if it reads no masks."""
     if method.uses_true_geometry or method.control:
         raise InputError(f"--masks predicted: {method.make} reads the truth or is a control; use --masks given")
     label = f"{method.label}, predicted masks" if method.label else ""
@@ -80,10 +85,61 @@ def _on_predicted_masks(method: Method) -> Method:
     return replace(method, masks="predicted", label=label, description=description, learned=True, training_data=seen)
 
 
-def source_hash(method: Method) -> str:
-    """SHA-256 in hex of what a method's predictions depend on: its module, all that it imports of ours, its weights.
+def with_weights(method: Method, runs: Sequence[str | Path]) -> Method:
+    """A method with the weights of runs instead of its published ones; its training data names them.
 
-    Of a module of your own, what it imports from the same package or folder counts too.
+    Args:
+        method: of the catalog.
+        runs: folders that `python -m baselines train` wrote, or files NAME.safetensors beside their NAME.json.
+
+    Raises:
+        InputError: a run without weights, or with those of a network that the method does not use.
+    """
+    if not runs:
+        return method
+    weights, texts = dict(method.weights), []
+    for run in map(Path, runs):
+        stem = _stem(run)
+        about = _about(stem, run)
+        name = about.get("name")
+        places = [argument for argument, path in method.weights.items() if path.name == name]
+        if not places:
+            used = ", ".join(sorted(path.name for path in method.weights.values())) or "no weights"
+            raise InputError(f"--weights {run}: weights of {name}, which the method does not use; it uses {used}")
+        weights |= dict.fromkeys(places, stem)
+        digest = sha256(stem.with_name(f"{stem.name}.safetensors")) or ""
+        data = f"dataset {about.get('dataset_id', 'unknown')}, preset {about.get('preset', 'unknown')}"
+        texts.append(f"{name}: split train of {data} (own weights {digest[:DIGITS]})")
+    published = [path for argument, path in method.weights.items() if weights[argument] == path]
+    others = [f"published weights of the other networks: {method.training_data}"] if published else []
+    label = f"{method.label}, own weights"[:MAX_LABEL] if method.label else ""
+    return replace(method, weights=weights, label=label, training_data="; ".join([*texts, *others]))
+
+
+def _stem(run: Path) -> Path:
+    """The path of a run's weights without suffix."""
+    stem = run.with_suffix("") if run.suffix == ".safetensors" else run / BEST
+    for suffix in (".json", ".safetensors"):
+        path = stem.with_name(stem.name + suffix)
+        if not path.is_file():
+            raise InputError(f"--weights {run}: no file {path}; expected the folder of a run with its best weights")
+    return stem
+
+
+def _about(stem: Path, run: Path) -> dict[str, Any]:
+    """The description of a run's weights in the file beside them."""
+    info = read_json(stem.with_name(f"{stem.name}.json"))
+    about = info.get("about") if isinstance(info, dict) else None
+    if not isinstance(about, dict):
+        raise InputError(f"--weights {run}: {stem.name}.json describes no weights of a training run")
+    return about
+
+
+def source_hash(method: Method) -> str:
+    """SHA-256 in hex of what a method's predictions depend on: its module, all that it imports of KIT1000, its weights.
+
+    For your own module, all that it imports from the same package or folder counts too. The hash tells rows of one code
+    from rows of another, also in a checkout with changes and for code that is in no checkout: a commit could not.
     """
     entries = [module_and_object(method.make)[0], *([predicted_masks.__name__] if method.masks == "predicted" else [])]
     folder = _source_folder(entries[0])
@@ -91,15 +147,12 @@ def source_hash(method: Method) -> str:
     beside |= {path.parent.name: path.parent for path in folder.glob("*/__init__.py")}
     roots = beside | {"kit1000": LIBRARY}
     stems = {stem.name: stem for stem in method.weights.values()}
-    if len(stems) < len(method.weights):  # those of runs all have one name
+    if len(stems) < len(method.weights):  # the weights of all runs have one name
         stems = {f"{argument}:{stem.name}": stem for argument, stem in method.weights.items()}
     stems |= {name: WEIGHTS / name for name in MASKS_WEIGHTS if method.masks == "predicted"}
     files = imported_modules(entries, roots)
     files |= {name: stem.with_name(f"{stem.name}.safetensors") for name, stem in stems.items()}
-    digest = hashlib.sha256()
-    for name in sorted(files):
-        digest.update(name.encode() + b"\0" + hashlib.sha256(files[name].read_bytes()).digest())
-    return digest.hexdigest()
+    return hash_of(files)
 
 
 def _source_folder(module: str) -> Path:

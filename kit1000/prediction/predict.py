@@ -25,8 +25,7 @@ from kit1000.files import check_output
 from kit1000.parallel import local_engine, usable_cores
 from kit1000.prediction.catalog import TABLES, Method
 from kit1000.prediction.journal import Journal
-from kit1000.prediction.making import PREDICTED_MASKS, make_predictor, method_of, source_hash
-from kit1000.prediction.own_weights import with_weights
+from kit1000.prediction.making import PREDICTED_MASKS, make_predictor, method_of, source_hash, with_weights
 from kit1000.predictor import FILE_TARGET, PredictedMotion, Predictor, to_prediction
 from kit1000.queries.tracks import ALL_TRACKS, CURVES, SPLITS
 from kit1000.submission import Manifest, Submission, read_submission, write_submission
@@ -52,7 +51,7 @@ class RunConfig:
     tables: tuple[str, ...] = TABLES
     """Packages that list the methods, see `kit1000.prediction.catalog`."""
     weights: tuple[str, ...] = ()
-    """Runs of training whose weights replace the published ones, see `kit1000.prediction.own_weights`."""
+    """Runs of training whose weights replace the published ones, see `kit1000.prediction.making.with_weights`."""
 
     @property
     def display_name(self) -> str:
@@ -109,16 +108,13 @@ def predict(config: RunConfig, data: Path, out: Path, workers: int | None = None
     check_output(out, "manifest.toml")
     manifest = _manifest(config, method, dataset, {job.track for job in jobs})
     earlier = _earlier_submission(out, manifest)
-    run = {"method": config.name, "dataset_id": dataset.id, "splits": config.splits, "tracks": config.tracks}
-    run |= {"seed": config.seed, "limit": config.limit, "source": manifest.source}
-    with Journal(out.with_name(f"{out.name}.journal"), run) as journal:
+    settings = {"method": config.name, "dataset_id": dataset.id, "splits": config.splits, "tracks": config.tracks}
+    settings |= {"seed": config.seed, "limit": config.limit, "source": manifest.source}
+    with Journal(out.with_name(f"{out.name}.journal"), settings) as journal:
         left = [job for job in jobs if job.query_id not in journal.done]
         _made.cache_clear()  # the folder may hold another dataset than in an earlier run of this process
         with local_engine(workers) as spread:
-            predictions = spread(
-                partial(predict_job, dataset.root, config.name, config.seed, config.tables, weights=config.weights),
-                left,
-            )
+            predictions = spread(partial(predict_job, dataset.root, config), left)
             bar = tqdm(predictions, None, len(jobs), initial=len(jobs) - len(left), unit="query", disable=None)
             for prediction in bar:
                 journal.add(prediction)
@@ -139,7 +135,7 @@ def predict_and_describe(config: RunConfig, data: Path, out: Path, workers: int 
 
 
 def jobs_of(dataset: Dataset, method: Method, config: RunConfig) -> list[Job]:
-    """The queries to predict for, in the order of the splits; raises InputError where there are none."""
+    """The queries to predict for, in the order of the splits; raises InputError if there are none."""
     for track in config.tracks or ():
         if track not in method.tracks:
             hint = did_you_mean(track, method.tracks)
@@ -156,31 +152,30 @@ def jobs_of(dataset: Dataset, method: Method, config: RunConfig) -> list[Job]:
     return list(jobs.values())[: config.limit]
 
 
-def predict_job(
-    root: Path, name: str, seed: int, tables: tuple[str, ...], job: Job, weights: tuple[str, ...] = ()
-) -> Prediction:
-    """A method's prediction for a query, and its time from the images in memory to the prediction."""
+def predict_job(root: Path, config: RunConfig, job: Job) -> Prediction:
+    """A method's prediction for a query, and its time from the images in memory to the prediction.
+
+    root: the dataset folder.
+    """
     try:
-        method, dataset, predictor = _made(root, name, seed, tables, weights)
+        method, dataset, predictor = _made(root, config)
     except InternalError as error:
         raise InternalError(f"{job}: {error}") from error
     scene = dataset.split(job.split, method.uses_true_geometry).scene(job.scene_id)
     query = next(query for query in scene.queries if query.id == job.query_id)
     true = method.uses_true_geometry
     geometry = dataset.geometry.true_geometry(scene.truth_of(query.id)) if true else None
-    query.image  # noqa: B018 (reads the images: reading is no part of the method)
+    query.image  # noqa: B018 (reads the images before the clock starts)
     start = perf_counter()
     predicted = _predicted(predictor, query, geometry)
     return to_prediction(query, predicted, round(perf_counter() - start, MICROSECOND))
 
 
 @lru_cache(maxsize=1)
-def _made(
-    root: Path, name: str, seed: int, tables: tuple[str, ...], weights: tuple[str, ...]
-) -> tuple[Method, Dataset, Predictor]:
+def _made(root: Path, config: RunConfig) -> tuple[Method, Dataset, Predictor]:
     """A method, the dataset and the predictor, made once in each process."""
-    method, dataset = with_weights(method_of(name, tables), weights), Dataset(root)
-    return method, dataset, make_predictor(method, dataset, seed)
+    method, dataset = config.method, Dataset(root)
+    return method, dataset, make_predictor(method, dataset, config.seed)
 
 
 def _predicted(predictor: Predictor, query: Query, geometry: TrueGeometry | None) -> PredictedMotion:
@@ -198,7 +193,7 @@ def _predicted(predictor: Predictor, query: Query, geometry: TrueGeometry | None
 def _earlier_submission(out: Path, new: Manifest) -> Submission | None:
     """The submission that is there already.
 
-    Raises InputError where it is of another method or dataset, or its rows were made by other code or weights.
+    Raises InputError if it is of another method or dataset, or if other code or weights made its rows.
     """
     if not out.exists() or not any(out.iterdir()):
         return None

@@ -20,8 +20,7 @@ from kit1000.cli import main
 from kit1000.errors import InputError, InternalError
 from kit1000.files import write_json
 from kit1000.perception.networks.weight_files import load_weights, save_weights
-from kit1000.prediction import making
-from kit1000.prediction.own_weights import with_weights
+from kit1000.prediction.making import source_hash, with_weights
 from kit1000.prediction.predict import predict
 from kit1000.predictor import resolved
 from kit1000.submission import read_manifest, read_submission, write_manifest
@@ -158,7 +157,7 @@ def test_weights_of_a_run_replace_the_published_ones_of_their_network_alone(own_
     assert method.training_data in own.training_data
     assert own.label.endswith(", own weights")
     assert with_weights(method, [own_run / "best.safetensors"]) == own
-    assert making.source_hash(own) != making.source_hash(method)
+    assert source_hash(own) != source_hash(method)
     assert with_weights(method, []) is method
 
 
