@@ -25,7 +25,7 @@ from kit1000.editor.display import FIELD, framed
 from kit1000.editor.pointing import Eye
 from kit1000.editor.records import EventLog, Header
 from kit1000.editor.scene import EditedScene
-from kit1000.editor.stage import Colour
+from kit1000.editor.texts import Colour
 from kit1000.editor.worker import AtOnce, Method
 from kit1000.mesh import Mesh
 from kit1000.pictures.shading import INK, PAPER, ColouredBody, shaded_picture

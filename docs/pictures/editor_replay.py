@@ -14,7 +14,7 @@ import viser
 from editor import recorded
 from numpy.typing import ArrayLike
 
-from kit1000.editor.page import ViserStage
+from kit1000.editor.page import Panel, ViserStage
 from kit1000.editor.pointing import Eye
 from kit1000.editor.serve import serving
 
@@ -27,7 +27,7 @@ class Replay(ViserStage):
     """A page that is recorded instead of looked at."""
 
     def __init__(self, server: viser.ViserServer, eye: Eye) -> None:
-        super().__init__(server, "scene", snaps=True)
+        super().__init__(server, Panel.of_editor("scene", snaps=True))
         self.eye = eye
         self.recording = server.get_scene_serializer()
 

@@ -109,7 +109,7 @@ class Edit(OwnImages):
     """Method that proposes where parts fit: one of the catalog, module:Object of your own, or none; when absent,
     registration, in own scenes with the networks that suit the noise of the camera."""
     interface: Literal["scene", "hand", "hand-bare"] = "scene"
-    """Thing that you move: parts, or the robot's suction cup, one part at a time; bare: by gizmo, and nothing snaps."""
+    """Thing that you move: parts, or the robot's suction cup, one part at a time; bare: by gizmo. Cups never snap."""
     port: OptionalInt = None
     """Port of the page; a free one when absent."""
     origin: tuple[str, ...] = ()
@@ -134,7 +134,8 @@ class Edit(OwnImages):
         data, out = self._folders()
         dataset = Dataset(data)
         scene, sensor = _chosen_scene(dataset, self.scene, self.sensor)
-        chosen = (data, scene, out, sensor, self.snap or _default_method(dataset, scene, sensor))
+        method = _default_method(dataset, scene, sensor) if self.interface == "scene" else "none"
+        chosen = (data, scene, out, sensor, self.snap or method)
         serve(Options(*chosen, self.port, self.truth, self.interface, self.origin, self.base_from_camera))
         return 0
 

@@ -7,24 +7,23 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping
-from functools import wraps
+from functools import partial, wraps
 from typing import Any, Protocol, TypeVar, cast
 
 import numpy as np
 
-from kit1000.editor import gestures, texts
-from kit1000.editor.display import Display
-from kit1000.editor.dragging import NAMES, Drag, Modifier, screen_axes
+from kit1000.editor import texts
+from kit1000.editor.display import Display, Stage
+from kit1000.editor.dragging import KEY_MOTIONS, NAMES, Drag, Held, KeyMotion, Modifier
 from kit1000.editor.hand import BareHandWorkspace, HandWorkspace
-from kit1000.editor.keys import FINE_TURN_DEG, STEP_MM, TURN_DEG, Interface, verbs_of
+from kit1000.editor.keys import Interface, verbs_of
 from kit1000.editor.moves import write_moves
 from kit1000.editor.picks import Pick, moves_of
 from kit1000.editor.pointing import Eye
 from kit1000.editor.proposals import takes_by_letting_go
 from kit1000.editor.records import EventLog, write_predictions_of
 from kit1000.editor.scene import EditedScene, answered_queries
-from kit1000.editor.session import PartEdit
-from kit1000.editor.stage import Stage
+from kit1000.editor.session import PartEdit, same_motion
 from kit1000.editor.worker import Completion, Result
 from kit1000.editor.workspace import Step, Workspace
 from kit1000.pose import Pose
@@ -81,11 +80,48 @@ class Controller:
         """Whether nothing can be moved, as while a robot carries parts out."""
         self._drag: Drag | None = None
         self._picks: dict[int, Pick] | None = {} if moves else None
+        self._scene_verbs: Mapping[str, Callable[[Eye | None], None]] = {
+            "view-camera": partial(self._look, "camera"),
+            "view-top": partial(self._look, "top"),
+            "deselect": lambda _: self.select(None),
+            "hide-kits": lambda _: self._switch("kits_hidden"),
+            "undo": lambda _: self._step("undo"),
+            "redo": lambda _: self._step("redo"),
+            "take-all": lambda _: self._take_all(),
+            "confirm-all": lambda _: self._confirm(
+                *(part for part, edit in self.space.session.edits.items() if edit.snapped)
+            ),
+            "reset-all": lambda _: self._do(Step("put all back", self.space.put_back(self.space.edited))),
+        }
+        self._body_verbs: Mapping[str, Callable[[int], None]] = {
+            "view-slot": lambda _: self.display.look("slot"),
+            "gizmo": lambda _: self._switch("shows_gizmo"),
+            "confirm": self._confirm,
+            "reset": lambda body: self._do(Step(f"{self.space.name(body)}: put back", self.space.put_back([body]))),
+            "next": self._next,
+            "take": self._take,
+        }
         self.display.look("camera")
         self._adopt()
         stage.flush()
 
     # Events of the page.
+
+    @property
+    def bodies(self) -> tuple[int, ...]:
+        """The parts or cups that can be moved."""
+        return self.space.bodies
+
+    @property
+    def drags(self) -> bool:
+        """Whether they can be dragged and not only be moved by the gizmo."""
+        return self.space.assists
+
+    @exclusive
+    def framed(self, eye: Eye) -> None:
+        """The shape of the window is known, or has changed: show the whole scene, unless something was done."""
+        if not self.space.session.done:
+            self.display.look("camera", eye.aspect)
 
     @exclusive
     def select(self, body: int | None) -> None:
@@ -93,9 +129,8 @@ class Controller:
         if body is not None and body not in self.space.bodies:
             return
         self.space.choose(body)
-        part = None if body is None else self.space.carried(body)
-        if part is not None and self.asker is not None:
-            self.asker.prefer(part)
+        if body is not None and self.asker is not None:
+            self.asker.prefer(body)
         self._ask()
         self.display.update()
 
@@ -179,25 +214,14 @@ class Controller:
             return
         if verb.startswith("select-"):
             self._number(int(verb.removeprefix("select-")) - 1)
-        elif verb in ("view-camera", "view-top"):
-            self.display.look(verb.removeprefix("view-"), *(() if eye is None else (eye.aspect,)))
-        elif verb == "deselect":
-            self.select(None)
-        elif verb == "hide-kits":
-            space.kits_hidden = not space.kits_hidden
-            self.display.update()
-        elif verb in ("undo", "redo"):
-            self._step(verb)
-        elif verb == "take-all":
-            self._do_or_say(space.snapped_all(), texts.NOTHING_TO_SNAP_YET if space.sought() else texts.NOTHING_TO_SNAP)
-        elif verb == "confirm-all":
-            self._confirm(*(part for part, edit in space.session.edits.items() if edit.snapped))
-        elif verb == "reset-all":
-            self._do(Step("put all back", space.put_back(space.edited)))
+        elif verb in self._scene_verbs:
+            self._scene_verbs[verb](eye)
         elif space.selected is None:
             self.display.note(texts.CHOOSE[space.interface])
+        elif verb in self._body_verbs:
+            self._body_verbs[verb](space.selected)
         else:
-            self._body_command(verb, space.selected, eye)
+            self._move_by_key(KEY_MOTIONS[verb], space.selected, eye)
 
     @exclusive
     def return_to(self, count: int) -> None:
@@ -212,15 +236,15 @@ class Controller:
     def received(self, result: Result) -> None:
         """What the worker has found."""
         (part, guess), space = result.job, self.space
-        proposals, carrier = space.proposals[part], space.carrier(part)
+        proposals = space.proposals[part]
         if guess is None:
             proposals.found = result.proposals
-        elif carrier is not None and gestures.same_motion(guess, space.part_edit(carrier).goal_from_now):
+        elif same_motion(guess, space.current[part].goal_from_now):
             proposals.answers, proposals.guess = result.proposals, guess
         else:
             return  # the hand has moved on
         proposals.failure = result.failure
-        if carrier is not None and carrier == space.selected:
+        if part == space.selected:
             space.fit_index = 0
         self.display.update()
 
@@ -243,42 +267,23 @@ class Controller:
             self._do(step)
         self.select(body)
 
-    def _body_command(self, verb: str, body: int, eye: Eye | None) -> None:
-        space = self.space
-        if verb == "view-slot":
-            self.display.look("slot")
-        elif verb == "gizmo":
-            space.shows_gizmo = not space.shows_gizmo
-            self.display.update()
-        elif verb == "confirm":
-            self._confirm(body)
-        elif verb == "reset":
-            self._do(Step(f"{space.name(body)}: put back", space.put_back([body])))
-        elif verb == "next":
-            self._next(body)
-        elif verb == "take":
-            self._take(body)
-        else:
-            name, edit = self._moved_by_key(verb, body, eye)
-            self._move(name, body, edit)
+    def _look(self, name: str, eye: Eye | None) -> None:
+        self.display.look(name, *(() if eye is None else (eye.aspect,)))
 
-    def _moved_by_key(self, verb: str, body: int, eye: Eye | None) -> tuple[str, PartEdit]:
-        """The name of what a key does that moves a body, and the body's edit."""
-        space, plate = self.space, self.space.plate_of(body)
-        edit, pivot, cloud = space.session.edits[body], space.pivot(body), space.cloud(body)
-        motion = edit.goal_from_now
-        if verb in ("raise", "lower"):
-            step = STEP_MM * 1e-3 * (1 if verb == "raise" else -1)
-            return verb, edit.moved(gestures.shifted(motion, step * plate.normal))
-        if verb.startswith("turn-"):
-            angle = np.radians(FINE_TURN_DEG if verb.endswith("fine") else TURN_DEG)
-            turned = gestures.rotated(motion, pivot, plate.normal, angle if "left" in verb else -angle)
-            return "turn", edit.moved(turned, True)
-        if verb == "level":
-            return "stand level", edit.moved(gestures.levelled(motion, cloud, pivot, plate), True)
-        axis = screen_axes(eye, plate)[0 if verb == "tip-away" else 1]
-        tipped = gestures.rotated(motion, pivot, axis, -np.pi / 2)
-        return "tip over", edit.moved(gestures.stood(tipped, cloud, plate), True)
+    def _switch(self, name: str) -> None:
+        """Switch something of the workspace on or off."""
+        setattr(self.space, name, not getattr(self.space, name))
+        self.display.update()
+
+    def _move_by_key(self, key: KeyMotion, body: int, eye: Eye | None) -> None:
+        space = self.space
+        edit = space.session.edits[body]
+        held = Held(edit.goal_from_now, space.cloud(body), space.pivot(body), space.plate_of(body), eye)
+        self._move(key.name, body, edit.moved(key.motion(held), key.turns))
+
+    def _take_all(self) -> None:
+        nothing = texts.NOTHING_TO_SNAP_YET if self.space.sought() else texts.NOTHING_TO_SNAP
+        self._do_or_say(self.space.snapped_all(), nothing)
 
     def _take(self, body: int) -> None:
         ghost = self.space.ghost(body)
@@ -293,7 +298,7 @@ class Controller:
         if ghost is None:
             self.display.note(self.display.no_fit(body))
             return
-        self.log.add("refuse", part=self.space.carried(body), confidence=ghost.confidence)
+        self.log.add("refuse", part=body, confidence=ghost.confidence)
         self.space.fit_index += 1
         self.display.update()
 
@@ -310,7 +315,7 @@ class Controller:
 
     def _move(self, name: str, body: int, edit: PartEdit) -> None:
         """A body moved by hand, or snapped, under its name in the history."""
-        self._do(self.space.moved(f"{self.space.name(body)}: {name}", body, edit))
+        self._do(Step(f"{self.space.name(body)}: {name}", {body: edit}))
 
     def _do(self, step: Step) -> None:
         if self._is_held():
@@ -355,8 +360,7 @@ class Controller:
         self.display.update()
 
     def _ask(self) -> None:
-        """Ask the method about the body in the hand, where its answer is still to come."""
+        """Ask the method about the body in the hand, if it has not answered to its pose."""
         body, space = self.space.selected, self.space
-        part = None if body is None else space.carried(body)
-        if body is not None and part is not None and self.asker is not None and space.waits(body):
-            self.asker.ask(part, space.part_edit(body).goal_from_now)
+        if body is not None and self.asker is not None and space.waits(body):
+            self.asker.ask(body, space.current[body].goal_from_now)

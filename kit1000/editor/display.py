@@ -1,12 +1,19 @@
-"""Shows a workspace on a stage: parts or points, cups, ghost, labels, panel."""
+"""Shows a workspace on a stage, which is what the editor asks of a page: parts or points, cups, ghost, labels, panel.
+
+`page` implements the stage with viser, tests with dictionaries.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Protocol
+
 import numpy as np
+from numpy.typing import ArrayLike
 
 from kit1000.editor import texts
 from kit1000.editor.hand import NAMES, PICK, PLACE, HandWorkspace, cup_mesh
-from kit1000.editor.stage import Colour, Stage
+from kit1000.editor.texts import Colour
 from kit1000.editor.workspace import Workspace
 from kit1000.mesh import Mesh
 from kit1000.numerics.trigonometry import tangent
@@ -24,6 +31,54 @@ BORDER = 0.06  # of the window around the scene
 STRAIGHT_DOWN = np.array([0.0, -0.02, 1.0])  # not quite: the view keeps its upward direction
 SLOT_VIEW = 0.3  # [m] from a plate
 CUP_COLOURS: dict[int, Colour] = {PICK: (70, 175, 60), PLACE: (240, 200, 30)}
+
+
+class Stage(Protocol):
+    """A page with a scene and a panel."""
+
+    def show(self, name: str, mesh: Mesh, colour: Colour, opacity: float | None, /) -> None:
+        """Add a mesh [m] of the world, at rest; None: opaque."""
+        ...
+
+    def dots(self, name: str, points: np.ndarray, colours: np.ndarray, /) -> None:
+        """Add points (n, 3) [m] of the world, at rest, in colours (n, 3) uint8."""
+        ...
+
+    def move(self, name: str, motion: Pose, /) -> None:
+        """Move a mesh or points by a motion of the world from where they were added."""
+        ...
+
+    def look(self, name: str, /, colour: Colour | None = None, visible: bool | None = None) -> None:
+        """Change the colour of a mesh; hide or show a mesh or points."""
+        ...
+
+    def label(self, name: str, text: str, point: ArrayLike, /) -> None:
+        """Write at a point (3,) [m] of the world; an empty text removes the label."""
+        ...
+
+    def say(self, place: str, text: str, /) -> None:
+        """Write Markdown into a place of the panel: head, parts, fit or note."""
+        ...
+
+    def progress(self, share: float, /) -> None:
+        """How much of the background work is done, 0 to 1."""
+        ...
+
+    def history(self, names: Sequence[str], done: int, /) -> None:
+        """List the operations, done and undone; the first `done` of them are done."""
+        ...
+
+    def gizmo(self, pose: Pose | None, /) -> None:
+        """Show the gizmo at a pose, or hide it."""
+        ...
+
+    def look_from(self, eye: ArrayLike, target: ArrayLike, /) -> None:
+        """Put the camera to a point (3,) [m], looking at another."""
+        ...
+
+    def flush(self) -> None:
+        """Send all this now."""
+        ...
 
 
 class Display:
@@ -50,12 +105,10 @@ class Display:
                 pose, mesh = workspace.rest(cup), cup_mesh()
                 placed = Mesh(pose.apply(mesh.vertices), mesh.faces)
                 stage.show(body_node(cup), placed, CUP_COLOURS[cup], None)
-                stage.show(ghost_node(cup), placed, texts.confidence_colour(0), texts.GHOST_OPACITY)
-        else:
-            for part, mesh in scene.meshes.items():
-                stage.show(ghost_node(part), mesh, texts.confidence_colour(0), texts.GHOST_OPACITY)
-        for body in workspace.bodies:
-            stage.look(ghost_node(body), visible=False)
+        self._ghosts = {} if by_hand else scene.meshes
+        for part, mesh in self._ghosts.items():
+            stage.show(ghost_node(part), mesh, texts.confidence_colour(0), texts.GHOST_OPACITY)
+            stage.look(ghost_node(part), visible=False)
 
     def complete_kits(self, hidden: Mesh) -> None:
         """Show what the image hides of the kits, as the method completes it [m] world, in a colour of its own."""
@@ -146,7 +199,7 @@ class Display:
         """The ghost of the selected body alone."""
         space = self.workspace
         shown = None if space.selected is None else space.ghost(space.selected)
-        for body in space.bodies:
+        for body in self._ghosts:
             if body != space.selected or shown is None:
                 self.stage.look(ghost_node(body), visible=False)
         if shown is not None and space.selected is not None:
@@ -199,12 +252,9 @@ class Display:
     def no_fit(self, body: int) -> str:
         """Why a body has no ghost."""
         space = self.workspace
-        part = space.carried(body)
-        if part is None:
-            return texts.PICK_FIRST
         if space.current[body].snapped:
             return texts.SNAPPED_ALREADY
-        return texts.no_fit(space.proposals[part], space.over_kits(body), space.waits(body))
+        return texts.no_fit(space.proposals[body], space.over_kits(body), space.waits(body))
 
     def _contact_line(self, body: int, part: int) -> str:
         space = self.workspace

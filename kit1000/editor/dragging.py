@@ -1,13 +1,18 @@
-"""A drag of a body as a function of where the pointer is: slide, lift, turn or tilt, by the modifier that is held."""
+"""What the hand does to a body, as functions of motions: slide on a surface, turn, tilt, raise, stand level.
+
+A motion is a `goal_from_now`; the body turns about the image of its pivot. A `Drag` is one of these as a function of
+the position of the pointer, chosen by the modifier key.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
-from kit1000.editor import gestures
+from kit1000.editor.keys import FINE_TURN_DEG, STEP_MM, TURN_DEG
 from kit1000.editor.pointing import Eye, Surface
 from kit1000.editor.seen_plates import Plate
 from kit1000.editor.session import PartEdit
@@ -55,14 +60,14 @@ class Drag:
         if self.modifier is None:
             return self._slid(surface, screen)
         if self.modifier == "cmd/ctrl":
-            return gestures.rotated(before, self.pivot, self.plate.normal, across * TURN_PER_HEIGHT)
+            return rotated(before, self.pivot, self.plate.normal, across * TURN_PER_HEIGHT)
         if self.modifier == "alt":
             right, ahead = screen_axes(self.eye, self.plate)
-            tilted = gestures.rotated(before, self.pivot, right, down * TILT_PER_HEIGHT)
-            return gestures.rotated(tilted, self.pivot, ahead, across * TILT_PER_HEIGHT)
+            tilted = rotated(before, self.pivot, right, down * TILT_PER_HEIGHT)
+            return rotated(tilted, self.pivot, ahead, across * TILT_PER_HEIGHT)
         distance = length(before.apply(self.pivot) - self.eye.world_from_camera.xyz)
         height = 2 * distance * float(tangent(self.eye.fov / 2))  # [m] of what the screen shows there
-        return gestures.shifted(before, -down * height * self.plate.normal)
+        return shifted(before, -down * height * self.plate.normal)
 
     def _slid(self, surface: Surface, screen: tuple[float, float]) -> Pose | None:
         """The point of the surface below the grabbed one comes under the pointer.
@@ -81,7 +86,64 @@ class Drag:
             return None
         turn = Pose(quaternion_between(plate.normal, support.plate.normal), np.zeros(3))
         point = support.plate.projected(support.point + turn.rotate(foot - below))
-        return gestures.slid(before, self.cloud, self.pivot, plate, support.plate, point)
+        return slid(before, self.cloud, self.pivot, plate, support.plate, point)
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """The body in the hand when a key is pressed."""
+
+    motion: Pose
+    """goal_from_now"""
+    cloud: np.ndarray
+    """(n, 3) [m] that bounds the body where it lies."""
+    pivot: np.ndarray
+    """(3,) [m] of the body where it lies."""
+    plate: Plate
+    """On which it stands."""
+    eye: Eye | None
+
+
+class KeyMotion(NamedTuple):
+    """What a key does to the body in the hand."""
+
+    name: str
+    """Name in the history."""
+    turns: bool
+    """Whether it rotates the body."""
+    motion: Callable[[Held], Pose]
+
+
+def _raised(millimetres: float) -> Callable[[Held], Pose]:
+    return lambda held: shifted(held.motion, millimetres * 1e-3 * held.plate.normal)
+
+
+def _turned(degrees: float) -> Callable[[Held], Pose]:
+    return lambda held: rotated(held.motion, held.pivot, held.plate.normal, np.radians(degrees))
+
+
+def _tipped(axis: int) -> Callable[[Held], Pose]:
+    """By 90° about an axis of `screen_axes`, then stood on the plate."""
+
+    def motion(held: Held) -> Pose:
+        tipped = rotated(held.motion, held.pivot, screen_axes(held.eye, held.plate)[axis], -np.pi / 2)
+        return stood(tipped, held.cloud, held.plate)
+
+    return motion
+
+
+KEY_MOTIONS: Mapping[str, KeyMotion] = {
+    "raise": KeyMotion("raise", False, _raised(STEP_MM)),
+    "lower": KeyMotion("lower", False, _raised(-STEP_MM)),
+    "turn-left": KeyMotion("turn", True, _turned(TURN_DEG)),
+    "turn-right": KeyMotion("turn", True, _turned(-TURN_DEG)),
+    "turn-left-fine": KeyMotion("turn", True, _turned(FINE_TURN_DEG)),
+    "turn-right-fine": KeyMotion("turn", True, _turned(-FINE_TURN_DEG)),
+    "tip-away": KeyMotion("tip over", True, _tipped(0)),
+    "tip-aside": KeyMotion("tip over", True, _tipped(1)),
+    "level": KeyMotion("stand level", True, lambda held: levelled(held.motion, held.cloud, held.pivot, held.plate)),
+}
+"""By verb."""
 
 
 def screen_axes(eye: Eye | None, plate: Plate) -> tuple[np.ndarray, np.ndarray]:
@@ -90,3 +152,51 @@ def screen_axes(eye: Eye | None, plate: Plate) -> tuple[np.ndarray, np.ndarray]:
     right = right - float(matmul(right, plate.normal)) * plate.normal
     right = right / max(length(right), 1e-9)
     return right, np.cross(plate.normal, right)
+
+
+def slid(motion: Pose, cloud: np.ndarray, pivot: np.ndarray, old: Plate, new: Plate, point: np.ndarray) -> Pose:
+    """The part stood on another place: it keeps its rotation to the surface, and touches that.
+
+    Args:
+        motion: goal_from_now.
+        cloud: (n, 3) [m] points of the part where it lies, which bound it.
+        pivot: (3,) [m] of the part where it lies.
+        old: the surface on which it stands.
+        new: the surface on which it shall stand.
+        point: (3,) [m] on that surface, below the pivot.
+    """
+    rotation = Pose(quaternion_between(old.normal, new.normal), np.zeros(3)) @ Pose(motion.wxyz, np.zeros(3))
+    below = float(matmul(rotation.rotate(cloud - pivot), new.normal).min())
+    return _about(rotation, pivot, point - below * new.normal)
+
+
+def rotated(motion: Pose, pivot: np.ndarray, axis: np.ndarray, angle: float) -> Pose:
+    """Turned about an axis (3,) of the world through the image of the pivot. angle: [rad]."""
+    rotation = Pose.from_rotvec(axis * angle) @ Pose(motion.wxyz, np.zeros(3))
+    return _about(rotation, pivot, motion.apply(pivot))
+
+
+def shifted(motion: Pose, offset: np.ndarray) -> Pose:
+    """Moved by an offset (3,) [m] of the world."""
+    return Pose(motion.wxyz, motion.xyz + offset)
+
+
+def levelled(motion: Pose, cloud: np.ndarray, pivot: np.ndarray, plate: Plate) -> Pose:
+    """Stood on a plate with the nearest of the six sides that it has where it lies, at the place where it is."""
+    here = motion.inverse().rotate(plate.normal)
+    side = np.zeros(3)
+    side[np.abs(here).argmax()] = np.sign(here[np.abs(here).argmax()])
+    up = motion.rotate(side)
+    level = Pose(quaternion_between(up, plate.normal), np.zeros(3)) @ Pose(motion.wxyz, np.zeros(3))
+    return stood(_about(level, pivot, motion.apply(pivot)), cloud, plate)
+
+
+def stood(motion: Pose, cloud: np.ndarray, plate: Plate) -> Pose:
+    """Lowered or raised along the plate's normal until it touches the plate."""
+    lowest = float(plate.height(motion.apply(cloud)).min())
+    return shifted(motion, -lowest * plate.normal)
+
+
+def _about(rotation: Pose, pivot: np.ndarray, image: np.ndarray) -> Pose:
+    """The motion with a rotation that takes the pivot to its image (3,) [m]."""
+    return Pose(rotation.wxyz, image - rotation.rotate(pivot))

@@ -3,8 +3,10 @@
 The hand moves no part but the robot's cup, shown twice: green where it picks a part, yellow where it lets it go. The
 part's motion follows from both; confirming carries it out, and both cups are back. Two variants:
 
-- `hand`: the fair one. Cups slide on surfaces, take the plate's normal, obey the same keys and snap to the same fits.
-- `hand-bare`: as in the paper. Cups move by a gizmo alone; nothing aligns, nothing snaps.
+- `hand`: cups have the aids of editing: they slide on surfaces, align with the plate's normal and obey the same keys.
+- `hand-bare`: as in the paper, cups move by a gizmo alone.
+
+Nothing snaps.
 """
 
 from __future__ import annotations
@@ -14,7 +16,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from kit1000.editor.pointing import Eye, Support, Surface, SurfaceImage
-from kit1000.editor.proposals import Proposal
 from kit1000.editor.scene import EditedScene
 from kit1000.editor.seen_plates import TABLE, Plate
 from kit1000.editor.session import UNTOUCHED, PartEdit, part_name
@@ -70,8 +71,8 @@ class HandWorkspace(Workspace):
 
     interface = "hand"
 
-    def __init__(self, scene: EditedScene, snaps: bool) -> None:
-        """Both cups stand on the table, beside the parts and beside the kits."""
+    def __init__(self, scene: EditedScene, snaps: bool = False) -> None:
+        """Both cups stand on the table, beside the parts and beside the kits. snaps: nothing does."""
         super().__init__(scene, snaps)
         parts = np.concatenate([scene.clouds[part] for part in scene.parts])
         self._rest = {
@@ -117,16 +118,11 @@ class HandWorkspace(Workspace):
         """The part under the picking cup, which the placing cup lets go."""
         return self._tops()[1] if body == PLACE else None
 
-    def carrier(self, part: int) -> int | None:
-        """The placing cup, where it carries the part."""
-        return PLACE if self._tops()[1] == part else None
-
     def part_edit(self, body: int) -> PartEdit:
         """Where the part goes that a cup lets go here."""
         part, edit = self.carried(body), self.current[body]
         assert part is not None
-        turned = edit.turned or self.current[PICK].turned
-        return PartEdit(edit.goal_from_now @ self._hung(part), edit.snapped, edit.confidence, turned)
+        return PartEdit(edit.goal_from_now @ self._hung(part), turned=edit.turned or self.current[PICK].turned)
 
     def over_kits(self, body: int) -> bool:
         """Whether the placing cup has been moved over a plate."""
@@ -138,18 +134,7 @@ class HandWorkspace(Workspace):
         image = self.current[part].goal_from_now.apply(self.scene.pivot(part))
         point = points[np.square(points[:, :2] - image[:2]).sum(1).argmin()]
         edit = UNTOUCHED.moved(Pose.from_translation(point - self._rest[PICK].xyz))
-        return PLACE, self.moved(f"{NAMES[PICK]} to {part_name(part)}", PICK, edit)
-
-    def moved(self, name: str, body: int, edit: PartEdit) -> Step:
-        """A cup moved. The placing cup stands at a fit no longer where the picking one moves."""
-        place = self.session.edits[PLACE]
-        if body == PICK and place.snapped:
-            return Step(name, {body: edit, PLACE: place.moved(place.goal_from_now)})
-        return Step(name, {body: edit})
-
-    def snapped_all(self) -> Step | None:
-        """One part at a time."""
-        return None
+        return PLACE, Step(f"{NAMES[PICK]} to {part_name(part)}", {PICK: edit})
 
     def confirmed(self, bodies: Sequence[int]) -> Step | None:
         """The part is carried from the picking cup to the placing cup, and both are back."""
@@ -159,12 +144,6 @@ class HandWorkspace(Workspace):
             return None
         edits = {part: self.part_edit(PLACE).confirm(), **self.put_back(self.bodies)}
         return Step(f"carry {part_name(part)}", edits)
-
-    def _as_moved(self, body: int, fit: Proposal) -> Proposal:
-        """A fit of the part as a motion of the cup that carries it."""
-        part = self.carried(body)
-        assert part is not None
-        return Proposal(fit.goal_from_now @ self._hung(part).inverse(), fit.confidence, fit.answer)
 
     def _hung(self, part: int) -> Pose:
         """The motion of a part from where it lies to below the placing cup at rest."""
@@ -194,9 +173,9 @@ class BareHandWorkspace(HandWorkspace):
     interface = "hand-bare"
     assists = False
 
-    def __init__(self, scene: EditedScene, snaps: bool) -> None:
-        """Nothing snaps."""
-        super().__init__(scene, snaps=False)
+    def __init__(self, scene: EditedScene, snaps: bool = False) -> None:
+        """The gizmo is shown."""
+        super().__init__(scene, snaps)
         self.shows_gizmo = True
 
 

@@ -1,25 +1,24 @@
 """The page on which a person corrects labels: shapes over measured points, whose colours are the residual.
 
-A click selects a body, which then has a gizmo; a drag slides it over the table, with ctrl it turns. `fit` lets it fall
-into place from there. Everything else is `kit1000.labelling.corrections`.
+A click selects a body, which then has a gizmo; a drag slides it over the table, or turns it with ctrl. The page is that
+of the editor (`page`); `kit1000.labelling.corrections` does everything else.
 """
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
-from functools import partial
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
-import viser
 
-from kit1000.editor.display import FIELD, NARROW, framed
-from kit1000.editor.page import eye_of
+from kit1000.editor.display import NARROW, body_node, framed
+from kit1000.editor.dragging import TURN_PER_HEIGHT, Modifier, rotated
+from kit1000.editor.page import Panel, ViserStage
+from kit1000.editor.pointing import Eye
 from kit1000.editor.serve import serving
-from kit1000.editor.texts import TABLE_COLOUR, plain
-from kit1000.errors import Kit1000Error
+from kit1000.editor.texts import plain
 from kit1000.interrupts import wait_until_interrupted
 from kit1000.labelling.corrections import Correction
 from kit1000.labelling.label_records import read_record
@@ -28,205 +27,165 @@ from kit1000.pictures.shading import KIT, part_colour
 from kit1000.pose import Pose
 from kit1000.values import FIRST_PART_LABEL
 
-OPACITY, POINT = 0.6, 1.0e-3  # of the shapes; [m] of a point
-POINTS, GIZMO = "/points", "/gizmo"
+OPACITY = 0.6  # of the shapes
+POINTS = "/points"
 UP = np.array([0.0, 0.0, 1.0])
-TURN = 2 * np.pi  # [rad] for a drag across the height of the window
 AROUND = 0.04  # [m] of table about the bodies
 HELP = (
     "Click a shape, then drag it over the table; ctrl-drag turns it, the gizmo does both in space. **fit** lets it "
     "fall into place. Points: red is nearer than the shape, blue farther, yellow: no mask, purple: no shape."
 )
+BUTTONS = {
+    "Shape": {"fit": "fit", "take back": "take-back"},
+    "Confirm": {"the selected": "confirm", "all": "confirm-all"},
+}
+
+
+class _Drag(NamedTuple):
+    """A drag in progress."""
+
+    name: str
+    before: Pose
+    eye: Eye
+    start: tuple[float, float]
+    """On the screen."""
+    turns: bool
+    after: Pose
 
 
 class LabelPage:
-    """The page of one scene."""
+    """Takes the events of the page of one scene; its bodies are the labels of the masks."""
 
-    def __init__(self, server: viser.ViserServer, correction: Correction) -> None:
-        """Show a scene on a server."""
-        self.server, self.correction = server, correction
+    drags = True
+
+    def __init__(self, stage: ViserStage, correction: Correction) -> None:
+        """Show a scene."""
+        self.stage, self.correction = stage, correction
         self.selected: str | None = None
-        self._meshes: dict[str, Any] = {}
-        self._drag: tuple[Pose, np.ndarray, tuple[float, float]] | None = None
-        self._holding = False
-        self._dress()
+        self._drag: _Drag | None = None
+        self._names = {correction.body(name).label: name for name in correction.names}
+        for label, name in self._names.items():
+            colour = KIT if label < FIRST_PART_LABEL else part_colour(label - FIRST_PART_LABEL)
+            stage.show(body_node(label), correction.mesh(name), colour, OPACITY)
+        self._look(NARROW)
         self.update()
+        stage.listen(self)
 
     @property
-    def person(self) -> str:
-        """The name of who confirms, as the page has it."""
-        return self._person.value
-
-    @person.setter
-    def person(self, name: str) -> None:
-        self._person.value = name
+    def bodies(self) -> tuple[int, ...]:
+        """The labels of the bodies."""
+        return tuple(self._names)
 
     def update(self) -> None:
         """Show everything as it is."""
-        for name, handle in self._meshes.items():
-            pose = self.correction.world_from_body(name)
-            handle.wxyz, handle.position = pose.wxyz, pose.xyz
-        points, colours = self.correction.points()
-        self.server.scene.add_point_cloud(
-            POINTS, points.astype(np.float32), colours, point_size=POINT, precision="float32"
-        )
-        self._gizmo.visible = self.selected is not None
-        if self.selected is not None and not self._holding:
+        for label, name in self._names.items():
+            self.stage.move(body_node(label), self.correction.world_from_body(name))
+        self.stage.dots(POINTS, *self.correction.points())
+        if self.selected is None:
+            self.stage.gizmo(None)
+        else:
             pose = self.correction.world_from_body(self.selected)
-            middle = pose.apply(self.correction.mesh(self.selected).bounds.mean(0))
-            self._gizmo.wxyz, self._gizmo.position = pose.wxyz, middle
-        lines = report_lines(self.correction.record)
+            self.stage.gizmo(Pose(pose.wxyz, pose.apply(self._middle(self.selected))))
         chosen = f"**{plain(self.selected)}** is selected" if self.selected else "nothing is selected"
-        self._report.content = "\n\n".join([chosen, *map(plain, lines)])
-        self.server.flush()
+        self.stage.say("fit", "\n\n".join([chosen, *map(plain, report_lines(self.correction.record))]))
+        self.stage.flush()
 
-    def select(self, name: str) -> None:
+    def framed(self, eye: Eye) -> None:
+        """The shape of the window is known, or has changed: show the whole scene, unless something is selected."""
+        if self.selected is None:
+            self._look(eye.aspect)
+            self.stage.flush()
+
+    def select(self, body: int | None) -> None:
         """Select a body."""
-        self.selected = name
+        self.selected = None if body is None else self._names[body]
         self.update()
 
-    def drag(
-        self, name: str, ray: tuple[np.ndarray, np.ndarray], screen: tuple[float, float], phase: str, turns: bool
+    def grab(
+        self, body: int, eye: Eye, screen: tuple[float, float], point: np.ndarray, modifier: Modifier = None
     ) -> None:
-        """Slide a body over the table so that the point that was grabbed stays under the pointer, or turn it.
+        """A drag begins; with ctrl it turns the body about the vertical."""
+        del point
+        self.selected = name = self._names[body]
+        before = self.correction.world_from_body(name)
+        self._drag = _Drag(name, before, eye, screen, modifier == "cmd/ctrl", before)
 
-        Args:
-            name: the body.
-            ray: (3,) [m] where the eye is, and (3,) the direction to the pointer.
-            screen: of the pointer, 0 to 1 from the left and from the top.
-            phase: start, update or end.
-            turns: whether it turns about the vertical.
-        """
-        eye, direction = ray
-        if phase == "start":
-            self.selected = name
-            pose = self.correction.world_from_body(name)
-            height = float(pose.apply(self.correction.mesh(name).bounds.mean(0))[2])
-            self._drag = pose, _at_height(eye, direction, height), screen
-            return
+    def drag(self, screen: tuple[float, float]) -> None:
+        """Slide the body so that the point of its middle plane that was grabbed stays under the pointer, or turn it."""
         if self._drag is None:
             return
-        pose, grabbed, start = self._drag
+        name, before, eye, start, turns, _ = self._drag
+        middle = self._middle(name)
         if turns:
-            middle = Pose.from_translation(pose.apply(self.correction.mesh(name).bounds.mean(0)))
-            turn = Pose.from_rotvec((screen[0] - start[0]) * TURN * UP)
-            moved = middle @ turn @ middle.inverse() @ pose
+            after = rotated(before, middle, UP, (screen[0] - start[0]) * TURN_PER_HEIGHT)
         else:
-            moved = Pose.from_translation(_at_height(eye, direction, float(grabbed[2])) - grabbed) @ pose
-        handle = self._meshes[name]
-        handle.wxyz, handle.position = moved.wxyz, moved.xyz
-        if phase == "end":
-            self._drag = None
-            self.correction.move(name, moved)
+            height = float(before.apply(middle)[2])
+            grabbed, point = (_at_height(eye, place, height) for place in (start, screen))
+            after = Pose.from_translation(point - grabbed) @ before
+        self._drag = self._drag._replace(after=after)
+        self.stage.move(body_node(self.correction.body(name).label), after)
+
+    def release(self) -> None:
+        """The drag ends."""
+        drag, self._drag = self._drag, None
+        if drag is not None:
+            self.correction.move(drag.name, drag.after)
             self.update()
 
-    def carry(self, handle: Pose, done: bool) -> None:
+    def carry(self, gizmo: Pose, done: bool) -> None:
         """Move the selected body with the gizmo."""
         if self.selected is None:
             return
-        middle = self.correction.mesh(self.selected).bounds.mean(0)
-        pose = handle @ Pose.from_translation(-middle)
-        node = self._meshes[self.selected]
-        node.wxyz, node.position = pose.wxyz, pose.xyz
-        self._holding = not done
+        pose = gizmo @ Pose.from_translation(-self._middle(self.selected))
         if done:
             self.correction.move(self.selected, pose)
             self.update()
+        else:
+            self.stage.move(body_node(self.correction.body(self.selected).label), pose)
 
-    def fit(self) -> None:
-        """Let the selected body fit from where it is."""
-        if self.selected is not None:
+    def command(self, verb: str, eye: Eye | None = None) -> None:
+        """A button."""
+        del eye
+        if verb == "fit" and self.selected is not None:
             self.correction.fit(self.selected)
-            self.update()
-
-    def take_back(self) -> None:
-        """Take back the last move."""
-        self.correction.take_back()
+        elif verb == "take-back":
+            self.correction.take_back()
+        elif verb == "confirm-all":
+            self._confirm(["all"])
+        elif verb == "confirm":
+            self._confirm([self.selected] if self.selected else [])
         self.update()
 
-    def confirm(self, everything: bool) -> None:
-        """Confirm the selected body or all, save, and write the truth once all are confirmed."""
-        names = ["all"] if everything else [self.selected] if self.selected else []
-        self.correction.confirm(names, self.person)
+    def _confirm(self, names: list[str]) -> None:
+        """Confirm bodies, save, and write the truth when all are confirmed."""
+        self.correction.confirm(names, self.stage.entered)
         self.correction.save()
-        self.update()
         if self.correction.record.confirmed:
             scenes, record = self.correction.scenes, self.correction.record
             without = publish(scenes, [record])
             self.correction = Correction(scenes, read_record(scenes.root, record.scene_id), self.correction.kits)
-            self._say(f"truth is written; without truth: {', '.join(without) or 'none'}")
+            self.stage.say("note", plain(f"truth is written; without truth: {', '.join(without) or 'none'}"))
 
-    def _say(self, text: str) -> None:
-        self._note.content = plain(text)
+    def _middle(self, name: str) -> np.ndarray:
+        """(3,) [m] of a body in its own frame."""
+        return self.correction.mesh(name).bounds.mean(0)
 
-    def _dress(self) -> None:
-        server, gui, correction = self.server, self.server.gui, self.correction
-        gui.configure_theme(show_logo=False, show_share_button=False, control_width="small")
-        gui.main_panel.dock_right()
-        server.scene.set_up_direction("+z")
-        clouds = [correction.world_from_body(name).apply(correction.mesh(name).vertices) for name in correction.names]
-        points = np.concatenate(clouds)
-        eye, middle = framed(points, correction.world_from_camera.xyz - points.mean(0), NARROW)
-        camera = server.initial_camera
-        camera.position, camera.look_at, camera.up = eye, middle, UP
-        camera.fov, camera.near = FIELD, 0.02
-        (left, near, _), (right, far, _) = points.min(0) - AROUND, points.max(0) + AROUND
-        place = ((left + right) / 2, (near + far) / 2, -1e-3)
-        server.scene.add_box("/table", TABLE_COLOUR, (right - left, far - near, 1e-3), position=place)
-        for name in correction.names:
-            mesh, label = correction.mesh(name), correction.body(name).label
-            colour = KIT if label < FIRST_PART_LABEL else part_colour(label - FIRST_PART_LABEL)
-            vertices, faces = mesh.vertices.astype(np.float32), mesh.faces.astype(np.uint32)
-            handle = server.scene.add_mesh_simple(
-                f"/body/{label}", vertices, faces, color=colour, opacity=OPACITY, flat_shading=True, side="double"
-            )
-            self._meshes[name] = handle
-            handle.on_click(partial(self._clicked, name))
-            for modifier in (None, "cmd/ctrl"):
-                handle.on_drag("left", modifier=modifier)(partial(self._dragged, name, modifier is not None))  # type: ignore[arg-type]
-        self._gizmo = server.scene.add_transform_controls(GIZMO, scale=0.08, visible=False, depth_test=False)
-        self._gizmo.on_update(self._gizmo_moved)
-        gui.add_markdown(HELP)
-        self._report = gui.add_markdown("")
-        for label, action in (("fit", self.fit), ("take back", self.take_back)):
-            gui.add_button(label).on_click(partial(self._pressed, action))
-        self._person = gui.add_text("your name", "")
-        for label, everything in (("confirm the selected", False), ("confirm all", True)):
-            gui.add_button(label).on_click(partial(self._pressed, partial(self.confirm, everything)))
-        self._note = gui.add_markdown("")
-
-    # Events: viser runs these coroutines in order. What goes wrong is said on the page.
-
-    async def _clicked(self, name: str, event: Any) -> None:
-        self._call(partial(self.select, name))
-
-    async def _dragged(self, name: str, turns: bool, event: Any) -> None:
-        eye = eye_of(event.client)
-        screen = tuple(float(value) for value in event.end_screen_pos)
-        first = tuple(float(value) for value in event.start_screen_pos)
-        at = first if event.phase == "start" else screen
-        ray = eye.world_from_camera.xyz, eye.ray(at)  # type: ignore[arg-type]
-        self._call(partial(self.drag, name, ray, at, event.phase, turns))  # type: ignore[arg-type]
-
-    async def _gizmo_moved(self, event: Any) -> None:
-        handle = Pose(np.array(event.target.wxyz), np.array(event.target.position))
-        self._call(partial(self.carry, handle, event.phase == "end"))
-
-    async def _pressed(self, action: Callable[[], None], event: Any) -> None:
-        self._call(action)
-
-    def _call(self, action: Callable[[], None]) -> None:
-        try:
-            action()
-        except (Kit1000Error, OSError) as error:
-            self._say(str(error))
-            self.server.flush()
+    def _look(self, aspect: float) -> None:
+        points = shown_points(self.correction)
+        away = self.correction.world_from_camera.xyz - points.mean(0)
+        self.stage.look_from(*framed(points, away, aspect))
 
 
-def _at_height(eye: np.ndarray, direction: np.ndarray, height: float) -> np.ndarray:
-    """(3,) [m] where a ray meets the level plane at a height; for one that never does, a far point of it."""
+def shown_points(correction: Correction) -> np.ndarray:
+    """(n, 3) [m] world: the vertices of all bodies."""
+    return np.concatenate([correction.world_from_body(i).apply(correction.mesh(i).vertices) for i in correction.names])
+
+
+def _at_height(eye: Eye, screen: tuple[float, float], height: float) -> np.ndarray:
+    """(3,) [m] where the ray to a place on the screen meets the level plane at a height; a far point if it does not."""
+    start, direction = eye.world_from_camera.xyz, eye.ray(screen)
     fall = min(float(direction[2]), -1e-2)
-    return eye + direction * ((height - float(eye[2])) / fall)
+    return start + direction * ((height - float(start[2])) / fall)
 
 
 @contextlib.contextmanager
@@ -235,10 +194,12 @@ def labelling(
 ) -> Iterator[tuple[LabelPage, str]]:
     """A page while the block runs, and its address; scene_id: None for the first scene of the folder."""
     scenes = OwnScenes.of(root, scene_id)
-    record = read_record(root, scenes.scene_ids[0])
-    correction = Correction(scenes, record)
+    correction = Correction(scenes, read_record(root, scenes.scene_ids[0]))
+    points = shown_points(correction)[:, :2]
+    (left, near), (right, far) = points.min(0) - AROUND, points.max(0) + AROUND
+    table = np.array([(left, near), (right, near), (right, far), (left, far)])
     with serving(port, origins, "kit1000 label") as (server, address):
-        yield LabelPage(server, correction), address
+        yield LabelPage(ViserStage(server, Panel(HELP, BUTTONS, field="your name"), table), correction), address
 
 
 def run_label_page(root: Path, scene_id: str | None, port: int | None, origins: tuple[str, ...] = ()) -> None:

@@ -1,10 +1,11 @@
-"""The page, by viser: the only module that knows it. See `stage` for what it does and `controller` for why."""
+"""The page, by viser: the only module that knows it. See `display.Stage` for what it does and `controller` for why."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import viser
@@ -14,14 +15,16 @@ from kit1000.editor import texts
 from kit1000.editor.controller import Controller
 from kit1000.editor.display import FIELD, NARROW, body_node
 from kit1000.editor.dragging import NAMES, Modifier
-from kit1000.editor.help import help_text
-from kit1000.editor.keys import Interface, buttons_of, keys_of, verbs_of
+from kit1000.editor.keys import Interface, Key, buttons_of, help_text, keys_of, verbs_of
 from kit1000.editor.pointing import Eye
-from kit1000.editor.stage import Colour
+from kit1000.editor.texts import Colour
 from kit1000.errors import Kit1000Error
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.sim.layout import TABLE_SIZE
+
+if TYPE_CHECKING:
+    from kit1000.editor.label_page import LabelPage
 
 HISTORY_ROWS = 9
 PLACES = ("head", "parts", "fit", "note")
@@ -34,37 +37,54 @@ GIZMO = "/gizmo"
 WATCHES = "Another tab of this page is in charge. When that is closed, this one is."
 
 
+@dataclass(frozen=True)
+class Panel:
+    """What the panel beside the scene contains."""
+
+    help: str
+    """In Markdown."""
+    buttons: Mapping[str, Mapping[str, str]]
+    """Verbs by the text of their buttons, in named groups."""
+    keys: Sequence[Key] = ()
+    snaps: bool = False
+    """Whether a button switches if releasing a part near a fit takes it."""
+    history: bool = False
+    """Whether operations are listed."""
+    field: str = ""
+    """Name of a text field, if there is one."""
+
+    @classmethod
+    def of_editor(cls, interface: Interface, snaps: bool) -> Panel:
+        """The panel of the editor. snaps: whether a method proposes fits."""
+        takes = "take" in verbs_of(interface, snaps)
+        return cls(help_text(interface, snaps), buttons_of(interface, snaps), keys_of(interface, snaps), takes, True)
+
+
 class ViserStage:
-    """The verbs of `stage.Stage`, and the events for a controller."""
+    """The methods of `display.Stage`, and the events for an actor."""
 
-    def __init__(
-        self, server: viser.ViserServer, interface: Interface, snaps: bool, table: np.ndarray | None = None
-    ) -> None:
-        """A page for an interface.
-
-        snaps: whether a method proposes fits. table: (k, 2) [m] convex outline of the table; None: the simulated one.
-        """
+    def __init__(self, server: viser.ViserServer, panel: Panel, table: np.ndarray | None = None) -> None:
+        """A page. table: (k, 2) [m] convex outline of the table; None: the simulated one."""
         self.server, self._table = server, table
-        self._wanted = interface, snaps
         self._nodes: dict[str, Any] = {}
         self._labels: dict[str, Any] = {}
         self._texts: dict[str, Any] = {}
         self._rows: list[Any] = []
         self._counts = range(0)
         self._history: tuple[tuple[str, ...], int] | None = None
-        self._controller: Controller | None = None
+        self._actor: Controller | LabelPage | None = None
         self._acting: int | None = None
         self._aspect = NARROW
         self._clients: list[int] = []
         self._notices: dict[int, Any] = {}
         """Notices of the tabs that only watch."""
-        self._dress()
+        self._dress(panel)
 
-    def listen(self, controller: Controller) -> None:
-        """Send the events of the page to a controller."""
-        self._controller = controller
-        for body in controller.space.bodies:
-            self._listen_to(body, controller.space.assists)
+    def listen(self, actor: Controller | LabelPage) -> None:
+        """Send the events of the page to an actor."""
+        self._actor = actor
+        for body in actor.bodies:
+            self._listen_to(body, actor.drags)
         self.server.on_client_connect(self._joined)
         self.server.on_client_disconnect(self._left)
 
@@ -168,40 +188,51 @@ class ViserStage:
 
     # The page itself.
 
-    def _dress(self) -> None:
+    def _dress(self, panel: Panel) -> None:
         server, gui = self.server, self.server.gui
         gui.configure_theme(show_logo=False, show_share_button=False, control_width="small")
         gui.main_panel.dock_right()
         server.initial_camera.fov, server.initial_camera.near, server.initial_camera.far = FIELD, 0.02, 10.0
         server.initial_camera.up = (0.0, 0.0, 1.0)
+        server.scene.set_up_direction("+z")
         server.scene.configure_default_lights(enabled=False)
         server.scene.configure_environment_map(None)
         server.scene.add_light_ambient("/light/sky", intensity=SKY)
         server.scene.add_light_directional("/light/sun", intensity=SUN, position=SUN_AT)
         self._lay_table()
-        self._texts["head"] = gui.add_markdown("")
-        self._progress = gui.add_progress_bar(0.0, animated=False)
-        for place in PLACES[1:]:
-            self._texts[place] = gui.add_markdown("")
-        for label, verbs in buttons_of(*self._wanted).items():
-            group = gui.add_button_group(label, tuple(verbs))
-            group.on_click(partial(self._group_clicked, verbs))
-        if "take" in verbs_of(*self._wanted):
-            button = gui.add_button(texts.letting_go(True), color="gray")  # a checkbox would keep the space key
-            button.on_click(self._letting_go_clicked)
-        with gui.add_folder("History", expand_by_default=False):
-            self._rows = [gui.add_button("", visible=False) for _ in range(HISTORY_ROWS)]
-        for row, button in enumerate(self._rows):
-            button.on_click(partial(self._history_clicked, row))
-        with gui.add_folder("Help"):
-            gui.add_markdown(help_text(*self._wanted))
         self._gizmo = server.scene.add_transform_controls(GIZMO, scale=0.06, visible=False, depth_test=False)
         self._gizmo.on_update(self._gizmo_moved)
         self._dragging_gizmo = False
-        for key in keys_of(*self._wanted):
+        self._texts["head"] = gui.add_markdown("")
+        self._progress = gui.add_progress_bar(0.0, animated=False, visible=False)
+        for place in PLACES[1:]:
+            self._texts[place] = gui.add_markdown("")
+        self._field = gui.add_text(panel.field, "", visible=bool(panel.field))
+        for label, verbs in panel.buttons.items():
+            gui.add_button_group(label, tuple(verbs)).on_click(partial(self._group_clicked, verbs))
+        if panel.snaps:
+            button = gui.add_button(texts.letting_go(True), color="gray")  # a checkbox would keep the space key
+            button.on_click(self._letting_go_clicked)
+        if panel.history:
+            with gui.add_folder("History", expand_by_default=False):
+                self._rows = [gui.add_button("", visible=False) for _ in range(HISTORY_ROWS)]
+        for row, button in enumerate(self._rows):
+            button.on_click(partial(self._history_clicked, row))
+        with gui.add_folder("Help"):
+            gui.add_markdown(panel.help)
+        for key in panel.keys:
             label = key.help or key.verb.replace("-", " ")
             command = gui.add_command(label, hotkey=key.key, modifier=key.modifier)  # type: ignore[arg-type]
             command.on_trigger(partial(self._key_pressed, key.verb))
+
+    @property
+    def entered(self) -> str:
+        """The text in the field of the panel."""
+        return self._field.value
+
+    @entered.setter
+    def entered(self, text: str) -> None:
+        self._field.value = text
 
     def _lay_table(self) -> None:
         """The simulated table, or as much of the user's own as was seen."""
@@ -249,13 +280,11 @@ class ViserStage:
         self._choose_actor()
 
     async def _framed(self, camera: viser.CameraHandle) -> None:
-        """Show the whole scene again when the window's shape becomes known, or changes before anything is done."""
-        controller, client = self._controller, camera.client
-        if controller is None or client.client_id != self._acting or abs(camera.aspect / self._aspect - 1) < SAME_SHAPE:
+        actor, client = self._actor, camera.client
+        if actor is None or client.client_id != self._acting or abs(camera.aspect / self._aspect - 1) < SAME_SHAPE:
             return
         self._aspect = camera.aspect
-        if not controller.space.session.done:
-            controller.command("view-camera", eye_of(client))
+        actor.framed(eye_of(client))
 
     def _choose_actor(self) -> None:
         """The tab that came first acts; the others watch."""
@@ -264,12 +293,12 @@ class ViserStage:
         if notice is not None:
             notice.remove()
 
-    def _call(self, event: Any, action: Callable[[Controller], None]) -> None:
-        """Do something where the event comes from the tab in charge; what goes wrong is said on the page."""
-        if self._controller is None or event.client_id != self._acting:
+    def _call(self, event: Any, action: Callable[[Controller | LabelPage], None]) -> None:
+        """Call the actor if the event comes from the tab in charge; the page shows errors."""
+        if self._actor is None or event.client_id != self._acting:
             return
         try:
-            action(self._controller)
+            action(self._actor)
         except (Kit1000Error, OSError) as error:  # such as a full disk: what is not written is not done
             self.say("note", f"**{texts.plain(str(error))}**")
             self.flush()
@@ -278,33 +307,34 @@ class ViserStage:
         start, end = _screen(event.start_screen_pos), _screen(event.end_screen_pos)
         if event.phase == "start":
             grabbed = np.array(event.start_position, float)
-            self._call(event, lambda editor: editor.grab(body, eye_of(event.client), start, grabbed, modifier))
+            self._call(event, lambda actor: actor.grab(body, eye_of(event.client), start, grabbed, modifier))
         else:
-            self._call(event, lambda editor: editor.drag(end))
+            self._call(event, lambda actor: actor.drag(end))
         if event.phase == "end":
-            self._call(event, lambda editor: editor.release())
+            self._call(event, lambda actor: actor.release())
 
     async def _clicked(self, body: int, event: Any) -> None:
-        self._call(event, lambda editor: editor.select(body))
+        self._call(event, lambda actor: actor.select(body))
 
     async def _gizmo_moved(self, event: Any) -> None:
         handle, done = Pose(np.array(event.target.wxyz), np.array(event.target.position)), event.phase == "end"
         if event.client_id == self._acting:
             self._dragging_gizmo = not done
-        self._call(event, lambda editor: editor.carry(handle, done))
+        self._call(event, lambda actor: actor.carry(handle, done))
 
     async def _key_pressed(self, verb: str, event: Any) -> None:
-        self._call(event, lambda editor: editor.command(verb, eye_of(event.client)))
+        self._call(event, lambda actor: actor.command(verb, eye_of(event.client)))
 
-    async def _group_clicked(self, verbs: dict[str, str], event: Any) -> None:
-        self._call(event, lambda editor: editor.command(verbs[event.target.value], eye_of(event.client)))
+    async def _group_clicked(self, verbs: Mapping[str, str], event: Any) -> None:
+        self._call(event, lambda actor: actor.command(verbs[event.target.value], eye_of(event.client)))
 
     async def _history_clicked(self, row: int, event: Any) -> None:
         count = self._counts[row]
-        self._call(event, lambda editor: editor.return_to(count))
+        self._call(event, lambda actor: cast(Controller, actor).return_to(count))
 
     async def _letting_go_clicked(self, event: Any) -> None:
-        def change(editor: Controller) -> None:
+        def change(actor: Controller | LabelPage) -> None:
+            editor = cast(Controller, actor)
             editor.take_by_letting_go(not editor.lets_go)
             event.target.label = texts.letting_go(editor.lets_go)
 

@@ -11,8 +11,8 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from kit1000.camera import Camera
-from kit1000.editor.gestures import same_motion
 from kit1000.editor.seen_plates import TABLE, Plate, plate_at
+from kit1000.editor.session import same_motion
 from kit1000.mesh import Mesh
 from kit1000.numerics.trigonometry import tangent
 from kit1000.pose import Pose

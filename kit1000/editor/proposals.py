@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kit1000.editor.gestures import distance, same_motion
-from kit1000.editor.session import PartEdit
+from kit1000.editor.session import PartEdit, distance, same_motion
 from kit1000.pose import Pose
 from kit1000.queries.guesses import MAX_ANGLE, MAX_OFFSET
 

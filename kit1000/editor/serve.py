@@ -8,9 +8,13 @@ from the browser.
 from __future__ import annotations
 
 import contextlib
+import gzip
 import io
+import json
 import os
+import re
 import socket
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,12 +29,11 @@ from kit1000.dataset.pose_files import read_pose
 from kit1000.dataset.reader import Dataset
 from kit1000.editor.controller import Controller
 from kit1000.editor.keys import Interface
-from kit1000.editor.origins import Guard, check_origins
-from kit1000.editor.page import ViserStage
+from kit1000.editor.page import Panel, ViserStage
 from kit1000.editor.records import EventLog, Header, Sink
 from kit1000.editor.scene import EditedScene
 from kit1000.editor.worker import Method, Worker
-from kit1000.errors import InputError, InternalError
+from kit1000.errors import InputError, InternalError, shown
 from kit1000.files import check_writable, locked
 from kit1000.interrupts import wait_until_interrupted
 from kit1000.perception.sensor_facts import AnySensor, sensor_of
@@ -38,6 +41,19 @@ from kit1000.perception.sensor_facts import AnySensor, sensor_of
 HOST = "127.0.0.1"
 PORTS = range(8080, 8100)  # tried in order, where none is asked for
 NO_SNAP = "none"
+ORIGIN = re.compile(r"https?://[a-zA-Z0-9.\-]+(:\d{1,5})?\Z|https?://\[[0-9a-fA-F:]+\](:\d{1,5})?\Z")
+REFUSED = 403  # HTTP status of a handshake from another origin
+SCRIPT = """<script>
+(() => {
+  const allowed = %s;
+  if (allowed.includes(location.origin)) return;
+  window.stop();
+  const text = document.createElement("p");
+  text.style.cssText = "font: 16px sans-serif; margin: 3em; max-width: 40em";
+  text.textContent = %s.replaceAll("ORIGIN", location.origin);
+  document.documentElement.replaceChildren(text);
+})();
+</script>"""
 
 
 @dataclass(frozen=True)
@@ -59,15 +75,17 @@ class Options:
     base_from_camera: Path | None = None
     """JSON file with the pose of the camera in the base of a robot, for moves.json."""
 
+    def __post_init__(self) -> None:
+        if self.interface != "scene" and self.snap != NO_SNAP:
+            raise InputError(f"--snap {self.snap}: nothing snaps in hand control; leave it out, or use --snap none")
+
     def header(self, dataset_id: str) -> Header:
         """The header of the log."""
         return Header(dataset_id, self.scene, self.sensor, self.truth, self.snap, self.interface)
 
 
 @contextlib.contextmanager
-def editing(
-    options: Options, sink: Sink | None = None, moves: bool = False
-) -> Iterator[tuple[Controller, str]]:
+def editing(options: Options, sink: Sink | None = None, moves: bool = False) -> Iterator[tuple[Controller, str]]:
     """A page while the block runs: its controller and its address.
 
     sink: called with each event as the log has it, after it is written. moves: whether moves.json is written.
@@ -85,7 +103,7 @@ def editing(
         with serving(options.port, options.origins) as (server, address):
             worker = None if options.snap == NO_SNAP else Worker(method, scene.parts)
             table = seen_table(dataset.summary, options.scene)
-            stage = ViserStage(server, options.interface, worker is not None, table)
+            stage = ViserStage(server, Panel.of_editor(options.interface, worker is not None), table)
             stage.say("head", head_text(header, camera_name(sensor_of(dataset.summary, options.sensor, options.scene))))
             controller = Controller(scene, stage, log, worker, moves)
             stage.listen(controller)
@@ -147,8 +165,7 @@ def camera_name(sensor: AnySensor) -> str:
 def head_text(header: Header, camera: str) -> str:
     """The top of the panel. camera: its name."""
     shown = "**TRUE SHAPES ARE SHOWN**" if header.truth else f"as the {camera} saw it"
-    bare = header.interface == "hand-bare"
-    snap = "nothing snaps" if bare or header.snap == NO_SNAP else f"snaps by {header.snap.rpartition(':')[2]}"
+    snap = "nothing snaps" if header.snap == NO_SNAP else f"snaps by {header.snap.rpartition(':')[2]}"
     return f"**{header.scene}** · {shown} · {snap}"
 
 
@@ -177,3 +194,55 @@ def _free_port() -> int:
             probe.bind((HOST, port))
             return probe.getsockname()[1]
     raise InputError("no port is free")
+
+
+def check_origins(origins: Sequence[str]) -> None:
+    """Raise InputError for a web address that no browser would state."""
+    for origin in origins:
+        if not ORIGIN.match(origin):
+            raise InputError(f"--origin {origin}: expected scheme, host and port, such as http://localhost:9000")
+
+
+def explanation(origins: Sequence[str]) -> str:
+    """Why a page at another address than `origins` stays empty, and how to let it in; ORIGIN stands for its address."""
+    port = origins[0].rpartition(":")[2]
+    return (
+        f"This page stays empty: it is open at ORIGIN, and the server answers {' and '.join(origins)} alone. "
+        f"Either forward the same port (ssh -L {port}:127.0.0.1:{port}), or start the command again with "
+        "--origin ORIGIN."
+    )
+
+
+class Guard:
+    """Looks at the responses of a server."""
+
+    def __init__(self, origins: Sequence[str]) -> None:
+        self.origins = list(origins)
+        self._told: set[str] = set()
+
+    def process_response(self, connection: Any, request: Any, response: Any) -> None:
+        """Forbid frames, tell a page at another address why it is empty, and the terminal which was refused."""
+        response.headers["X-Frame-Options"] = "DENY"
+        response.headers["Content-Security-Policy"] = "frame-ancestors 'none'"
+        if response.status_code == REFUSED:
+            self._tell(request.headers.get("Origin"))
+        elif response.headers.get("Content-Type", "").startswith("text/html") and response.body:
+            self._explain(response)
+
+    def _explain(self, response: Any) -> None:
+        """Put a script into a page that replaces it where it is open at another address."""
+        packed = response.headers.get("Content-Encoding") == "gzip"
+        page = gzip.decompress(response.body) if packed else response.body
+        script = (SCRIPT % (json.dumps(self.origins), json.dumps(explanation(self.origins)))).encode()
+        head = page.find(b"<head>") + len(b"<head>") if b"<head>" in page else 0
+        page = page[:head] + script + page[head:]
+        response.body = gzip.compress(page) if packed else page
+        del response.headers["Content-Length"]
+        response.headers["Content-Length"] = str(len(response.body))
+
+    def _tell(self, origin: str | None) -> None:
+        name = shown(origin or "no address")[:200]
+        if name not in self._told and len(self._told) < 100:
+            self._told.add(name)
+            hint = f"; --origin {name} lets it in" if ORIGIN.match(name) else ""
+            print(f"refused a page at {name}: the server answers {', '.join(self.origins)}{hint}", file=sys.stderr)

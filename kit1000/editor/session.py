@@ -10,8 +10,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
-from kit1000.editor.gestures import same_motion
+import numpy as np
+
 from kit1000.errors import InputError, checked
+from kit1000.numerics.linear_algebra import matmul
 from kit1000.pose import Pose
 
 State = Literal["free", "snapped", "unsure", "confirmed"]
@@ -145,3 +147,14 @@ class Session:
 def part_name(part: int) -> str:
     """What the page calls a part: they count from 1, as the keys do."""
     return f"part {part + 1}"
+
+
+def same_motion(one: Pose, other: Pose) -> bool:
+    """Whether two motions are equal, bit for bit."""
+    return one.wxyz.tobytes() + one.xyz.tobytes() == other.wxyz.tobytes() + other.xyz.tobytes()
+
+
+def distance(one: Pose, other: Pose, pivot: np.ndarray) -> tuple[float, float]:
+    """How far apart two motions move the pivot [m], and the angle between them [rad]."""
+    apart = one.apply(pivot) - other.apply(pivot)
+    return float(np.sqrt(matmul(apart, apart))), float((one @ other.inverse()).angle())

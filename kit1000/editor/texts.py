@@ -9,8 +9,8 @@ import numpy as np
 from kit1000.editor.keys import Interface
 from kit1000.editor.proposals import PartProposals, Proposal
 from kit1000.editor.session import LIKELY, SURE, PartEdit, part_name
-from kit1000.editor.stage import Colour
 
+Colour = tuple[int, int, int]
 KIT_COLOUR: Colour = (205, 201, 194)
 HIDDEN_COLOUR: Colour = (224, 214, 190)
 OTHER_COLOUR: Colour = (170, 172, 176)

@@ -10,13 +10,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kit1000.editor import gestures
 from kit1000.editor.keys import Interface
 from kit1000.editor.pointing import Pointing, Surface
 from kit1000.editor.proposals import PartProposals, Proposal
 from kit1000.editor.scene import EditedScene
 from kit1000.editor.seen_plates import Plate
-from kit1000.editor.session import LIKELY, UNTOUCHED, PartEdit, Session, part_name
+from kit1000.editor.session import LIKELY, UNTOUCHED, PartEdit, Session, distance, part_name, same_motion
 
 APART = 25e-3  # [m] between the pivots of two parts in different cavities
 
@@ -81,10 +80,6 @@ class Workspace:
         """The part that moves with a body; None where there is none."""
         return body
 
-    def carrier(self, part: int) -> int | None:
-        """The body that a part moves with; None where there is none."""
-        return part
-
     def part_edit(self, body: int) -> PartEdit:
         """What the body, where it is now, does to its part."""
         return self.current[body]
@@ -109,11 +104,8 @@ class Workspace:
     # Where the hand may snap to.
 
     def fits(self, body: int) -> list[Proposal]:
-        """Motions of a body over a plate to the fits within reach, the best first; none of one that has snapped."""
-        part = self.carried(body)
-        if part is None or not self.snaps or self.current[body].snapped or not self.over_kits(body):
-            return []
-        return [self._as_moved(body, fit) for fit in self.proposals[part].near(self.part_edit(body))]
+        """The fits within reach of a body over a plate, the best first; none of a body that has snapped."""
+        return self.proposals[body].near(self.current[body]) if self._may_snap(body) else []
 
     def ghost(self, body: int) -> Proposal | None:
         """The fit that is shown."""
@@ -122,15 +114,15 @@ class Workspace:
 
     def shift_to(self, body: int, fit: Proposal) -> tuple[float, float]:
         """[m], [rad] from the hand to a fit."""
-        return gestures.distance(fit.goal_from_now, self.current[body].goal_from_now, self.pivot(body))
+        return distance(fit.goal_from_now, self.current[body].goal_from_now, self.pivot(body))
 
     def waits(self, body: int) -> bool:
-        """Whether the method's answer to where a body is is still to come."""
-        part = self.carried(body)
-        if part is None or not self.snaps or self.current[body].snapped or not self.over_kits(body):
-            return False
-        guess = self.proposals[part].guess
-        return guess is None or not gestures.same_motion(guess, self.part_edit(body).goal_from_now)
+        """Whether the method has not answered yet to the present pose of a body."""
+        guess = self.proposals[body].guess if self._may_snap(body) else None
+        return self._may_snap(body) and (guess is None or not same_motion(guess, self.current[body].goal_from_now))
+
+    def _may_snap(self, body: int) -> bool:
+        return self.snaps and not self.current[body].snapped and self.over_kits(body)
 
     def sought(self) -> list[int]:
         """The parts for which the method still looks for fits."""
@@ -141,10 +133,6 @@ class Workspace:
     def pointed_at(self, part: int) -> tuple[int, Step]:
         """The body that a part's number takes into the hand, and what that changes."""
         return part, Step("", {})
-
-    def moved(self, name: str, body: int, edit: PartEdit) -> Step:
-        """A body moved by hand, or snapped."""
-        return Step(name, {body: edit})
 
     def snapped_all(self) -> Step | None:
         """Every part that has not snapped: onto the fit near the hand, or the surest; no two into one cavity."""
@@ -168,11 +156,6 @@ class Workspace:
     def put_back(self, bodies: Sequence[int]) -> dict[int, PartEdit]:
         """The bodies where they were at first."""
         return dict.fromkeys(bodies, UNTOUCHED)
-
-    def _as_moved(self, body: int, fit: Proposal) -> Proposal:
-        """A fit of a part as a motion of the body that carries it."""
-        del body
-        return fit
 
     def _likely(self, part: int) -> Proposal | None:
         """The fit that needs no second look: near the hand, or the surest; None below LIKELY, or of a snapped part."""

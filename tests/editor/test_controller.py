@@ -12,15 +12,13 @@ import pytest
 from kit1000.camera import look_at
 from kit1000.cli import main
 from kit1000.editor.display import FIELD, HIDDEN_KITS, KITS, body_node, ghost_node
-from kit1000.editor.gestures import same_motion
-from kit1000.editor.help import help_text
-from kit1000.editor.keys import KEYS
+from kit1000.editor.keys import KEYS, help_text
 from kit1000.editor.pointing import Eye
 from kit1000.editor.proposals import Proposal, distinct
 from kit1000.editor.records import FILE, EventLog
 from kit1000.editor.scene import EditedScene
 from kit1000.editor.seen_plates import TABLE
-from kit1000.editor.session import Session
+from kit1000.editor.session import Session, same_motion
 from kit1000.editor.texts import LIKELY_COLOUR, SURE_COLOUR, UNSURE_COLOUR, confidence_colour, plain
 from kit1000.editor.worker import Completion, Job, Result
 from kit1000.errors import InputError

@@ -1,4 +1,4 @@
-"""Hand control without a browser: two cups carry a part, by the page's help or bare, from points to a submission."""
+"""Hand control without a browser: two cups carry a part, with the aids of the page or bare, to a submission."""
 
 from __future__ import annotations
 
@@ -10,10 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kit1000.cli import main
-from kit1000.editor.display import KITS, body_node, ghost_node
+from kit1000.editor.display import KITS, body_node
 from kit1000.editor.hand import PICK, PLACE, HandWorkspace
-from kit1000.editor.help import help_text, shown
-from kit1000.editor.keys import keys_of, verbs_of
+from kit1000.editor.keys import help_text, keys_of, shown, verbs_of
 from kit1000.editor.records import EventLog
 from kit1000.editor.scene import EditedScene
 from kit1000.editor.seen_plates import TABLE
@@ -21,7 +20,7 @@ from kit1000.editor.session import UNTOUCHED, Session
 from kit1000.errors import InputError
 from kit1000.pose import Pose
 from kit1000.submission import read_submission
-from tests.samples.editing import EYE, Desk, answered, desk, dragged, found, goal, header_of, scene_of
+from tests.samples.editing import EYE, Desk, desk, dragged, header_of, scene_of
 
 numbers = st.floats(-1, 1, allow_subnormal=False)
 vectors = st.tuples(numbers, numbers, numbers).map(np.array)
@@ -33,7 +32,7 @@ def scene(mini: Path, request: pytest.FixtureRequest) -> EditedScene:
 
 
 def hand(scene: EditedScene, out: Path, bare: bool = False) -> tuple[Desk, HandWorkspace]:
-    table = desk(scene, out, interface="hand-bare" if bare else "hand")
+    table = desk(scene, out, snaps=False, interface="hand-bare" if bare else "hand")
     space = table.controller.space
     assert isinstance(space, HandWorkspace)
     return table, space
@@ -79,40 +78,37 @@ def test_a_part_moves_as_the_cup_does_from_pick_to_place(
     assert all(space.session.edits[cup].same_as(UNTOUCHED) for cup in (PICK, PLACE))
 
 
-def test_a_part_is_picked_placed_snapped_and_checked(scene: EditedScene, mini: Path, tmp_path: Path) -> None:
-    """From points alone to a submission without a fault; the method is asked about the part, not about the cup."""
+def test_a_part_is_picked_placed_and_checked(scene: EditedScene, mini: Path, tmp_path: Path) -> None:
+    """From points alone to a submission without a fault."""
     table, space = hand(scene, tmp_path)
     part = scene.parts[0]
-    true, pivot = goal(scene, part), scene.pivot(part)
-    found(table, part, (true, 0.93))
     choose(table, part)
     lip = world_from_cup(space, PICK).xyz
     assert np.square(scene.tops[part] - lip).sum(1).min() == 0
     assert space.carried(PLACE) == part
     assert table.stage.poses[body_node(part)].xyz.tolist() == [0, 0, 0]
-    foot = scene.plates[0].projected(true.apply(pivot) + lip - pivot)
-    dragged(table, PLACE, foot + (0.004, 0.003, 0.0))
+    dragged(table, PLACE, scene.plates[0].point)
     plate = space.plate_of(PLACE)
     assert plate is not TABLE
     carried = space.part_edit(PLACE).goal_from_now
     assert abs(float(plate.height(carried.apply(scene.clouds[part])).min())) < 1e-9
-    assert ghost_node(PLACE) not in table.stage.hidden
-    assert "93 % sure" in table.stage.texts["fit"]
-    assert table.asker.asked[-1][0] == part
-    answered(table, part, table.asker.asked[-1][1], (true, 0.95))
-    assert space.ghost(PLACE) is not None
-    assert not space.waits(PLACE)
-    table.controller.command("take")
-    assert space.session.edits[PLACE].snapped
     assert not space.session.edits[part].confirmed  # nothing moves before it is confirmed
     table.controller.command("confirm")
     assert space.session.edits[part].state == "confirmed"
-    assert space.session.edits[part].confidence == 0.95
-    assert apart(space.session.edits[part].goal_from_now, true) < 1e-12
+    assert apart(space.session.edits[part].goal_from_now, carried) < 1e-12
     assert main(["check", str(tmp_path), "--data", str(mini)]) == 0
     rows = read_submission(tmp_path)
     assert rows.manifest.label == "Hand control"
-    assert apart(rows.predictions.motions[0], true) < 1e-9
+    assert apart(rows.predictions.motions[0], carried) < 1e-9
+    assert set(rows.predictions.confidence.tolist()) == {0.0}
+
+
+def test_nothing_snaps_in_hand_control(mini: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["edit", str(mini), "--scene", "test-s0000", "--out", str(tmp_path / "out")]
+    assert main([*words, "--interface", "hand", "--snap", "registration"]) == 2
+    assert "--snap registration" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+    assert {"take", "next", "take-all"}.isdisjoint(verbs_of("hand") | verbs_of("hand-bare"))
 
 
 def test_a_part_that_was_carried_is_carried_on_from_where_it_is(scene: EditedScene, tmp_path: Path) -> None:
@@ -167,22 +163,6 @@ def test_the_green_cup_stands_upright_on_what_is_under_the_cursor(scene: EditedS
     assert space.carried(PLACE) == part
 
 
-def test_moving_the_green_cup_takes_back_the_snap(scene: EditedScene, tmp_path: Path) -> None:
-    table, space = hand(scene, tmp_path)
-    part = scene.parts[0]
-    choose(table, part)
-    dragged(table, PLACE, scene.plates[0].point)
-    found(table, part, (space.part_edit(PLACE).goal_from_now, 0.9))
-    table.controller.command("take")
-    assert space.session.edits[PLACE].snapped
-    place = world_from_cup(space, PLACE)
-    table.controller.select(PICK)
-    table.controller.command("turn-left")
-    assert not space.session.edits[PLACE].snapped
-    assert apart(world_from_cup(space, PLACE), place) == 0
-    assert len(space.session.done[-1].changes) == 2  # one operation, undone at once
-
-
 def test_nothing_is_carried_without_a_part_and_a_plate(scene: EditedScene, tmp_path: Path) -> None:
     table, space = hand(scene, tmp_path)
     choose(table, scene.parts[0])
@@ -193,15 +173,13 @@ def test_nothing_is_carried_without_a_part_and_a_plate(scene: EditedScene, tmp_p
     assert "carries nothing" in table.stage.texts["fit"]
     table.controller.command("confirm")
     assert "Nothing to carry" in table.stage.texts["note"]
-    table.controller.command("take")
-    assert "First put the green cup on a part" in table.stage.texts["note"]
     assert not any(edit.confirmed for edit in space.session.edits.values())
 
 
 def test_points_are_shown_and_no_shape(scene: EditedScene, tmp_path: Path) -> None:
     table, space = hand(scene, tmp_path)
     assert {KITS, *map(body_node, scene.parts)} <= table.stage.points.keys()
-    assert table.stage.meshes.keys() == {node(cup) for node in (body_node, ghost_node) for cup in space.bodies}
+    assert table.stage.meshes.keys() == {body_node(cup) for cup in space.bodies}
     low, high = (getattr(scene.meshes[scene.parts[0]].vertices, side)(0) for side in ("min", "max"))
     points = table.stage.points[body_node(scene.parts[0])]
     assert (points > low - 5e-3).all()
@@ -211,7 +189,6 @@ def test_points_are_shown_and_no_shape(scene: EditedScene, tmp_path: Path) -> No
 def test_bare_hand_control_moves_cups_by_the_gizmo_alone(scene: EditedScene, tmp_path: Path) -> None:
     table, space = hand(scene, tmp_path, bare=True)
     part, controller = scene.parts[0], table.controller
-    found(table, part, (goal(scene, part), 0.99))
     for verb in ("select-1", "turn-left", "level", "take", "take-all"):
         controller.command(verb, EYE)
     dragged(table, PICK, scene.pivot(part))
@@ -222,8 +199,6 @@ def test_bare_hand_control_moves_cups_by_the_gizmo_alone(scene: EditedScene, tmp
         assert table.stage.gizmo_pose is not None
         controller.carry(Pose.from_translation(point), done=False)
         controller.carry(Pose.from_translation(point), done=True)
-    assert table.stage.hidden >= {ghost_node(cup) for cup in space.bodies}
-    assert table.asker.asked == []
     assert "seen" not in table.stage.texts["fit"]
     controller.command("confirm")
     assert space.session.edits[part].confirmed

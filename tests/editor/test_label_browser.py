@@ -45,11 +45,11 @@ def test_a_shape_follows_the_pointer(tmp_path: Path) -> None:
         browser = play.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--enable-unsafe-swiftshader"])
         tab = browser.new_page(viewport={"width": 800, "height": 500})
         tab.goto(address)
-        wait_for(lambda: bool(page.server.get_clients()))
+        wait_for(lambda: bool(page.stage.server.get_clients()))
         time.sleep(10)  # software WebGL draws the meshes
         box = tab.locator("canvas").first.bounding_box()
         assert box is not None
-        eye = eye_of(next(iter(page.server.get_clients().values())))
+        eye = eye_of(next(iter(page.stage.server.get_clients().values())))
         before = middle_of(page, "tee")
         start, end = (
             np.array(eye.screen(point)) * (box["width"], box["height"]) for point in (before, before + wanted)

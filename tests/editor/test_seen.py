@@ -10,11 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kit1000.camera import Camera, look_at
-from kit1000.editor import gestures
+from kit1000.editor.dragging import levelled, rotated, slid
 from kit1000.editor.part_on_plate import Cavities
 from kit1000.editor.pointing import Eye, Pointing
 from kit1000.editor.seen import observed, seen_surface, with_skirt
 from kit1000.editor.seen_plates import TABLE, Plate, find_plates
+from kit1000.editor.session import distance
 from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.parts.cad import polygon, prism
 from kit1000.perception.observed.pixels import IDEAL
@@ -187,7 +188,7 @@ def test_a_slid_part_touches_the_surface_and_keeps_its_rotation_to_it(
 ) -> None:
     cloud, pivot, old, new = block().vertices, np.array([0.0, 0.0, 0.01]), tilted(a, b), tilted(c, d)
     motion = Pose.from_rotvec((0.3, yaw, 0.1), (0.01, 0.02, 0.03))
-    moved = gestures.slid(motion, cloud, pivot, old, new, new.point)
+    moved = slid(motion, cloud, pivot, old, new, new.point)
     assert abs(float(new.height(moved.apply(cloud)).min())) < 1e-12
     off = moved.apply(pivot) - new.point
     assert np.abs(off - (off @ new.normal) * new.normal).max() < 1e-12  # the pivot is over the point
@@ -199,14 +200,14 @@ def test_a_slid_part_touches_the_surface_and_keeps_its_rotation_to_it(
 def test_turning_there_and_back_is_nothing(angle: float, yaw: float) -> None:
     pivot, axis = np.array([0.1, 0.0, 0.02]), np.array([0.0, 0.6, 0.8])
     motion = Pose.from_rotvec((0.0, 0.1, yaw), (0.1, 0.2, 0.3))
-    back = gestures.rotated(gestures.rotated(motion, pivot, axis, angle), pivot, axis, -angle)
-    assert gestures.distance(back, motion, pivot)[0] < 1e-12
-    assert gestures.distance(gestures.rotated(motion, pivot, axis, angle), motion, pivot)[0] < 1e-12
+    back = rotated(rotated(motion, pivot, axis, angle), pivot, axis, -angle)
+    assert distance(back, motion, pivot)[0] < 1e-12
+    assert distance(rotated(motion, pivot, axis, angle), motion, pivot)[0] < 1e-12
 
 
 def test_levelling_stands_a_tilted_part_on_its_nearest_side() -> None:
     motion = Pose.from_rotvec((np.radians(70), 0.0, 0.0), (0.0, 0.0, 0.2))
-    level = gestures.levelled(motion, block().vertices, np.array([0.0, 0.0, 0.01]), TABLE)
+    level = levelled(motion, block().vertices, np.array([0.0, 0.0, 0.01]), TABLE)
     points = level.apply(block().vertices)
     assert np.degrees(float((level.inverse() @ Pose.from_rotvec((np.pi / 2, 0, 0))).angle())) < 1e-6
     assert abs(points[:, 2].min()) < 1e-12

@@ -17,9 +17,9 @@ from baselines.catalog import method_of
 from kit1000.cli.scenes import SNAP
 from kit1000.dataset.reader import Dataset
 from kit1000.editor import worker
-from kit1000.editor.gestures import same_motion
 from kit1000.editor.hand import PLACE
 from kit1000.editor.scene import EditedScene
+from kit1000.editor.session import same_motion
 from kit1000.editor.worker import (
     Completion,
     Job,

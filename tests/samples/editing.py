@@ -19,7 +19,7 @@ from kit1000.editor.pointing import Eye
 from kit1000.editor.proposals import Proposal
 from kit1000.editor.records import EventLog, Header
 from kit1000.editor.scene import EditedScene
-from kit1000.editor.stage import Colour
+from kit1000.editor.texts import Colour
 from kit1000.editor.worker import Job, Result
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
