@@ -1,11 +1,11 @@
 """The scene-editing page: a person drags seen parts onto cavities, a method snaps them. Beside it, hand control.
 
 Read it in this order: `session` (edits and their history), `seen` and `seen_plates` (what one depth image shows),
-`pointing`, `dragging` and `gestures` (what the hand does), `proposals` and `worker` (where parts
-may snap), `part_on_plate` (how well that fits), `records` (what is written), `workspace` (all of this at a moment),
-`hand` (the same with two cups in place of parts), `controller`, which takes the events, and `page` with `serve`:
-viser, and nothing else knows it.
+`pointing` and `dragging` (what the hand does), `scene`, `proposals` and `worker` (where parts may snap),
+`part_on_plate` (how well that fits), `records`, `picks` and `moves` (what is written), `workspace` (all of this at one
+moment), `hand` (the same with two cups in place of parts), `keys`, `texts`, `display` and `controller` (which takes the
+events). `page`, `label_page` and `serve` use viser, and nothing else does.
 """
 
 SNAP = "registration"
-"""The method of the catalog that snaps where none is named."""
+"""The method of the catalog that snaps if none is named."""

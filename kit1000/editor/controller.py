@@ -1,4 +1,4 @@
-"""Joins session, gestures, proposals and records: takes the events of a page, and tells the page what to show.
+"""Joins session, motions, proposals and records: takes the events of a page, and calls the page to show the result.
 
 It knows no browser. Its methods may be called from any thread: they run one after another.
 """
@@ -339,7 +339,7 @@ class Controller:
         self._adopt()
 
     def _is_held(self) -> bool:
-        """Whether nothing can be moved; then all is shown where it was, and the page says so."""
+        """Whether nothing can be moved; then everything is shown at its old pose, and the page says so."""
         if self.held:
             self.space.adopt(self.space.session)
             self.display.update()

@@ -36,9 +36,9 @@ class Drag:
     body: int
     before: PartEdit
     cloud: np.ndarray
-    """(n, 3) [m] that bounds the body where it lies."""
+    """(n, 3) [m] that bounds the body at its recorded pose."""
     pivot: np.ndarray
-    """(3,) [m] of the body where it lies."""
+    """(3,) [m] of the body at its recorded pose."""
     eye: Eye
     start: tuple[float, float]
     """On the screen."""
@@ -54,7 +54,7 @@ class Drag:
         return self.modifier in ("cmd/ctrl", "alt")
 
     def motion(self, surface: Surface, screen: tuple[float, float]) -> Pose | None:
-        """goal_from_now with the pointer at a place on the screen; None where there is nothing to stand on."""
+        """goal_from_now with the pointer at a place on the screen; None if there is nothing to stand on."""
         before = self.before.goal_from_now
         across, down = (screen[0] - self.start[0]) * self.eye.aspect, screen[1] - self.start[1]
         if self.modifier is None:
@@ -96,9 +96,9 @@ class Held:
     motion: Pose
     """goal_from_now"""
     cloud: np.ndarray
-    """(n, 3) [m] that bounds the body where it lies."""
+    """(n, 3) [m] that bounds the body at its recorded pose."""
     pivot: np.ndarray
-    """(3,) [m] of the body where it lies."""
+    """(3,) [m] of the body at its recorded pose."""
     plate: Plate
     """On which it stands."""
     eye: Eye | None
@@ -159,8 +159,8 @@ def slid(motion: Pose, cloud: np.ndarray, pivot: np.ndarray, old: Plate, new: Pl
 
     Args:
         motion: goal_from_now.
-        cloud: (n, 3) [m] points of the part where it lies, which bound it.
-        pivot: (3,) [m] of the part where it lies.
+        cloud: (n, 3) [m] points that bound the part at its recorded pose.
+        pivot: (3,) [m] of the part at its recorded pose.
         old: the surface on which it stands.
         new: the surface on which it shall stand.
         point: (3,) [m] on that surface, below the pivot.
@@ -182,7 +182,7 @@ def shifted(motion: Pose, offset: np.ndarray) -> Pose:
 
 
 def levelled(motion: Pose, cloud: np.ndarray, pivot: np.ndarray, plate: Plate) -> Pose:
-    """Stood on a plate with the nearest of the six sides that it has where it lies, at the place where it is."""
+    """Stood on a plate at its place, on the nearest of the six sides that the part has at its recorded pose."""
     here = motion.inverse().rotate(plate.normal)
     side = np.zeros(3)
     side[np.abs(here).argmax()] = np.sign(here[np.abs(here).argmax()])

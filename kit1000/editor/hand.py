@@ -1,7 +1,8 @@
 """Hand control, the paper's interface beside scene editing: two suction cups over points, one part at a time.
 
-The hand moves no part but the robot's cup, shown twice: green where it picks a part, yellow where it lets it go. The
-part's motion follows from both; confirming carries it out, and both cups are back. Two variants:
+The hand moves the robot's cup and not the parts. The cup is shown twice: green where it picks a part, yellow where it
+releases the part. The motion of the part follows from both. Confirming carries the part, and both cups return. Two
+variants:
 
 - `hand`: cups have the aids of editing: they slide on surfaces, align with the plate's normal and obey the same keys.
 - `hand-bare`: as in the paper, cups move by a gizmo alone.
@@ -54,13 +55,13 @@ class Tops:
         return None if point is None else Support(point, _level(point))
 
     def below(self, point: np.ndarray) -> Plate:
-        """The level of the highest seen point below a cup at a point (3,) [m]; the table where there is none."""
+        """The level plane of the highest seen point below a cup at a point (3,) [m]; the table if there is none."""
         points = np.concatenate([*self.tops.values(), np.zeros((0, 3))])
         under = points[np.square(points[:, :2] - point[:2]).sum(1) < BESIDE**2]
         return _level(under[under[:, 2].argmax()]) if len(under) else TABLE
 
     def nearest(self, point: np.ndarray) -> int | None:
-        """The part under a cup with its lip at a point (3,) [m]; None where it reaches none."""
+        """The part under a cup with its lip at a point (3,) [m]; None if it reaches none."""
         distances = {part: float(np.square(points - point).sum(1).min()) for part, points in self.tops.items()}
         part = min(distances, key=lambda part: distances[part], default=None)
         return part if part is not None and distances[part] < REACH**2 else None
@@ -72,8 +73,8 @@ class HandWorkspace(Workspace):
     interface = "hand"
 
     def __init__(self, scene: EditedScene, snaps: bool = False) -> None:
-        """Both cups stand on the table, beside the parts and beside the kits. snaps: nothing does."""
-        super().__init__(scene, snaps)
+        """Both cups stand on the table, beside the parts and beside the kits. snaps: ignored, nothing does."""
+        super().__init__(scene, snaps=False)
         parts = np.concatenate([scene.clouds[part] for part in scene.parts])
         self._rest = {
             cup: Pose(DOWN.wxyz, np.array([points[:, 0].max() + ASIDE, _middle(points)[1], 0.0]))
@@ -119,7 +120,7 @@ class HandWorkspace(Workspace):
         return self._tops()[1] if body == PLACE else None
 
     def part_edit(self, body: int) -> PartEdit:
-        """Where the part goes that a cup lets go here."""
+        """The edit of the part if the cup releases it here."""
         part, edit = self.carried(body), self.current[body]
         assert part is not None
         return PartEdit(edit.goal_from_now @ self._hung(part), turned=edit.turned or self.current[PICK].turned)
@@ -146,12 +147,12 @@ class HandWorkspace(Workspace):
         return Step(f"carry {part_name(part)}", edits)
 
     def _hung(self, part: int) -> Pose:
-        """The motion of a part from where it lies to below the placing cup at rest."""
+        """The motion of a part from its recorded pose to below the placing cup at rest."""
         world_from_pick = self.current[PICK].goal_from_now @ self._rest[PICK]
         return self._rest[PLACE] @ world_from_pick.inverse() @ self.current[part].goal_from_now
 
     def _tops(self) -> tuple[Tops, int | None]:
-        """The parts where they are now, and the one under the picking cup; computed again where either has moved."""
+        """The parts where they are now, and the one under the picking cup; computed again if either has moved."""
         edits = tuple(self.current[body] for body in (*self.scene.parts, PICK))
         known = self._known
         if known is not None and all(one is other for one, other in zip(edits, known[0], strict=True)):

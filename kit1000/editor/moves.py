@@ -33,9 +33,9 @@ class FramedMove:
     """A move in one frame."""
 
     motion: Pose
-    """goal_from_now of the part: maps its points from where they are to where they go."""
+    """goal_from_now of the part: maps its points from their recorded place to their goal."""
     pick: Pose
-    """frame_from_grip where the part lies."""
+    """frame_from_grip at the recorded pose of the part."""
     axis: np.ndarray
     """(3,) unit: the insertion axis, out of the cavity."""
 
@@ -45,7 +45,7 @@ class FramedMove:
 
     @property
     def seated(self) -> Pose:
-        """frame_from_grip where the part is inserted."""
+        """frame_from_grip at the inserted pose of the part."""
         return self.motion @ self.pick
 
     @property
@@ -93,7 +93,7 @@ class Move:
 
 
 class _Key(msgspec.Struct):
-    """What tells a move from another one."""
+    """The identity of a move."""
 
     scene: str
     sensor: str

@@ -1,4 +1,4 @@
-"""How a part lies on a plate where the hand holds it: over a cavity or beside one, as far as the image shows.
+"""How a part in the hand lies on a plate: over a cavity or beside one, as far as the image shows.
 
 A plate is seen from above, in a grid along it: its face, and inside the outline of that, its cavity. What is seen of
 the part is laid over it. Of true shapes contact is computed in closed form.
@@ -49,7 +49,7 @@ class Cavities:
         """Share of a part that is not over a cavity of a plate, 0 to 1.
 
         Args:
-            points: (n, 3) [m] what is seen of the part, where it lies.
+            points: (n, 3) [m] what is seen of the part, at its recorded pose.
             motion: goal_from_now.
             plate: which one.
         """
@@ -82,11 +82,11 @@ class TrueContacts:
     """Measures contact of true shapes, in closed form."""
 
     def __init__(self, kits: Mesh, parts: Mapping[int, Mesh]) -> None:
-        """kits: [m] world. parts: [m] where they lie, by index."""
+        """kits: [m] world. parts: [m] at their recorded poses, by index."""
         self._fixed, self._parts = kits, parts
 
     def text(self, part: int, motion: Pose, plate: Plate) -> str:
-        """How a part meets the kits where a motion puts it; for the page."""
+        """How a part meets the kits after a motion, as a text for the page."""
         axis = motion.inverse().rotate(plate.normal)
         offset = float(contact_offset(InsertedPart(self._parts[part], axis), self._fixed, motion))
         if not np.isfinite(offset):

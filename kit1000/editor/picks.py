@@ -35,11 +35,11 @@ class Pick(NamedTuple):
 
     world_from_grip: Pose
     cup: float | None
-    """[m] radius of the largest suction cup that seals there; None where none does."""
+    """[m] radius of the largest suction cup that seals there; None if none does."""
 
 
 def find_pick(image: LabelledDepth, part: int, sensor: str) -> Pick:
-    """The pick of a part: where the largest cup seals best; where none does, the top of its middle.
+    """The pick of a part: where the largest cup seals best, else the top of its middle.
 
     Args:
         image: as seen; z = 0 of its world is the table.
@@ -57,7 +57,7 @@ def find_pick(image: LabelledDepth, part: int, sensor: str) -> Pick:
 def level_frame(view: View) -> Pose:
     """world_from_level: the origin on the table below the camera, z up, x to the right of the image.
 
-    Where the image is turned by a quarter, x is downwards in it.
+    If the image is rotated by a quarter turn, x is downwards in it.
     """
     right, down = view.world_from_camera.rotate(np.eye(3)[:2]) * (1.0, 1.0, 0.0)
     x = right if length(right) > LEVEL else down
@@ -68,8 +68,8 @@ def level_frame(view: View) -> Pose:
 def insertion_axis(motion: Pose, normal: np.ndarray | None) -> tuple[np.ndarray, bool]:
     """(3,) the insertion axis of a part that a motion puts on a plate, and whether the part lies as it is inserted.
 
-    As the robot has it, the vertical, rotated by the motion. Where that leans away from the plate's normal (3,), the
-    part lies on another face than it is inserted on, and the axis is the normal. None: the plate is not known.
+    The axis is the vertical, rotated by the motion, as for the robot. If it leans away from the plate's normal (3,),
+    the part lies on another face than the one it is inserted on, and the axis is the normal. None: unknown plate.
     """
     carried = motion.rotate(UP)
     upright = normal is None or bool(matmul(carried, normal) > UPRIGHT)
@@ -80,7 +80,7 @@ def moves_of(scene: EditedScene, session: Session, pointing: Pointing, picks: di
     """The moves of the confirmed parts of a scene.
 
     Args:
-        scene: with the parts where they lie.
+        scene: with the parts at their recorded poses.
         session: its edits.
         pointing: knows which plate is below a point.
         picks: those found so far, by part; further ones are added.

@@ -68,7 +68,7 @@ class Surface(Protocol):
     """On which a body is put down."""
 
     def support(self, eye: Eye, screen: tuple[float, float]) -> Support | None:
-        """Where a body under the cursor would stand; None where it cannot.
+        """Where a body under the cursor would stand; None if it cannot stand there.
 
         screen: 0 to 1 from the left, and from the top.
         """
@@ -89,13 +89,13 @@ class SurfaceImage:
         self._image: RenderedImage | None = None
 
     def body(self, eye: Eye, screen: tuple[float, float]) -> int | None:
-        """Index of the body at a place on the screen, that of the table the last; None where there is none."""
+        """Index of the body at a place on the screen, that of the table the last; None if there is none."""
         pixel = self._pixel(eye, screen)
         found = 0 if pixel is None else int(self._rendered(eye).body_ids[pixel])
         return found - 1 if found else None
 
     def seen(self, eye: Eye, screen: tuple[float, float]) -> np.ndarray | None:
-        """(3,) [m] the point of the surface at a place on the screen; None where there is none."""
+        """(3,) [m] the point of the surface at a place on the screen; None if there is none."""
         pixel = self._pixel(eye, screen)
         if pixel is None or self.body(eye, screen) is None:
             return None
@@ -117,12 +117,12 @@ class Pointing:
     """The plates of the kits and the table, on which parts are put."""
 
     def __init__(self, kits: Mesh, plates: list[Plate]) -> None:
-        """kits: [m] world, as seen: where their cavities have holes, the plates' lids are met."""
+        """kits: [m] world, as seen; holes in them are covered by the lids of the plates."""
         self.plates = plates
         self._image = SurfaceImage([(mesh, Pose.identity()) for mesh in (kits, *(plate.lid() for plate in plates))])
 
     def support(self, eye: Eye, screen: tuple[float, float]) -> Support | None:
-        """Where a part under the cursor would stand; None off the table or on a part of the kits that is no plate.
+        """Where a part under the cursor would stand; None off the table, or on a part of the kits that is no plate.
 
         screen: 0 to 1 from the left, and from the top.
         """
@@ -131,7 +131,7 @@ class Pointing:
         return None if plate is None or crossing is None else Support(crossing, plate)
 
     def below(self, point: np.ndarray) -> Plate:
-        """The plate that a part at a point (3,) [m] stands on or over; the table where there is none."""
+        """The plate that a part at a point (3,) [m] stands on or over; the table if there is none."""
         over = [plate for plate in self.plates if float(plate.height(point)) > -REACH and _is_over(plate, point)]
         return max(over, key=lambda plate: float(plate.point[2]), default=TABLE)
 

@@ -31,7 +31,7 @@ class PartProposals:
     """All that a method has proposed for a part."""
 
     pivot: np.ndarray
-    """(3,) [m] of the part where it lies."""
+    """(3,) [m] of the part at its recorded pose."""
     found: Sequence[Proposal] | None = None
     """Without a guess; None until they are known."""
     answers: Sequence[Proposal] = ()

@@ -62,7 +62,7 @@ class EventLog:
     def __init__(
         self, folder: Path, header: Header, clock: Callable[[], float] = time.time, sink: Sink | None = None
     ) -> None:
-        """Open or begin the log. Raises InputError where the folder holds events of another dataset or kind.
+        """Open or begin the log. Raises InputError if the folder holds events of another dataset or kind.
 
         clock: [s]. sink: called with each event that is added, after it is written.
         """

@@ -33,13 +33,13 @@ class EditedScene:
     queries: dict[int, Query]
     """A query without a guess for each part that can be edited, by index."""
     base_from_camera: Pose | None = None
-    """The camera in the base of the user's robot, where it is stated."""
+    """The camera in the base of the user's robot, if it is stated."""
 
     @classmethod
     def open(
         cls, dataset: Dataset, scene_id: str, sensor: str, truth: bool, base_from_camera: Pose | None = None
     ) -> EditedScene:
-        """A scene of the dataset's own list; raises InputError where there is none, or no part of it can be edited.
+        """A scene of the dataset's own list; raises InputError if there is none, or no part of it can be edited.
 
         base_from_camera: None for that of dataset.json, if it states one.
         """
@@ -59,7 +59,7 @@ class EditedScene:
 
     @cached_property
     def meshes(self) -> dict[int, Mesh]:
-        """[m] world: the parts where they lie."""
+        """[m] world: the parts at their recorded poses."""
         if not self.truth:
             return dict(self._seen.parts)
         _, _, *parts = self.recorded.bodies()
@@ -83,7 +83,7 @@ class EditedScene:
 
     @cached_property
     def clouds(self) -> dict[int, np.ndarray]:
-        """(n, 3) [m] points that bound each part where it lies."""
+        """(n, 3) [m] points that bound each part at its recorded pose."""
         return {part: mesh.vertices[ConvexHull(mesh.vertices).vertices] for part, mesh in self.meshes.items()}
 
     @cached_property
@@ -103,11 +103,11 @@ class EditedScene:
         return points[ConvexHull(points).vertices]
 
     def pivot(self, part: int) -> np.ndarray:
-        """(3,) [m] world: the middle of what is seen of a part where it lies."""
+        """(3,) [m] world: the middle of what is seen of a part at its recorded pose."""
         return self.queries[part].pivot
 
     def contact(self, part: int, motion: Pose, plate: Plate) -> str:
-        """How a part lies on a plate where a motion puts it, for the page."""
+        """How a part lies on a plate after a motion, as a text for the page."""
         if self.truth:
             return self._contacts.text(part, motion, plate)
         return self._cavities.text(self.tops[part], motion, plate)
@@ -148,7 +148,7 @@ def _track(kind: str, sensor: str) -> str:
 
 
 def _stated_base(dataset: Dataset) -> Pose | None:
-    """base_from_camera of dataset.json; None where it states none."""
+    """base_from_camera of dataset.json; None if it states none."""
     value = dataset.summary.get("config", {}).get("base_from_camera")
     place = f"{dataset.root / 'dataset.json'}: config: base_from_camera"
     return None if value is None else stated_pose(value, place)

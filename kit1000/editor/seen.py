@@ -37,7 +37,7 @@ class SeenScene:
     """The parts and the kits as one image shows them."""
 
     parts: dict[int, Mesh]
-    """[m] world: the observed surface of each part with its skirt, where it lies; by index."""
+    """[m] world: the observed surface of each part with its skirt, at its recorded pose; by index."""
     kits: Mesh
     """[m] world."""
     others: Mesh
@@ -119,7 +119,7 @@ def coloured_points(image: LabelledDepth) -> dict[int, ColouredPoints]:
 
 
 def _smoothed(depth: np.ndarray) -> np.ndarray:
-    """Depths (h, w) [m] by the median of their neighbours, where those are observed too."""
+    """Depths (h, w) [m] by the median of their neighbours if those are observed too."""
     smooth = median_filter(depth, MEDIAN)
     return np.where((depth > 0) & (smooth > 0), smooth, 0)
 

@@ -58,7 +58,7 @@ class Plate:
         return Mesh(self.corners, np.stack([np.zeros_like(fan), fan, fan + 1], axis=-1))
 
     def crossing(self, origin: np.ndarray, direction: np.ndarray) -> np.ndarray | None:
-        """(3,) [m] where a ray meets its plane from above; None where it does not."""
+        """(3,) [m] where a ray meets its plane from above; None if it does not."""
         along = float(matmul(direction, self.normal))
         distance = -float(self.height(origin))
         return None if along > -1e-6 or distance > 0 else origin + direction * (distance / along)
@@ -103,7 +103,7 @@ def _bodies(points: np.ndarray, area: float) -> list[np.ndarray]:
 
 
 def plate_at(plates: list[Plate], point: np.ndarray) -> Plate | None:
-    """The plate that a point (3,) [m] is on, of several the nearest; None where it is on none."""
+    """The plate that a point (3,) [m] is on, of several the nearest; None if it is on none."""
     holding = [plate for plate in plates if bool(plate.holds(point))]
     return min(holding, key=lambda plate: abs(float(plate.height(point))), default=None)
 

@@ -39,7 +39,7 @@ from kit1000.interrupts import wait_until_interrupted
 from kit1000.perception.sensor_facts import AnySensor, sensor_of
 
 HOST = "127.0.0.1"
-PORTS = range(8080, 8100)  # tried in order, where none is asked for
+PORTS = range(8080, 8100)  # tried in order, if none is asked for
 NO_SNAP = "none"
 ORIGIN = re.compile(r"https?://[a-zA-Z0-9.\-]+(:\d{1,5})?\Z|https?://\[[0-9a-fA-F:]+\](:\d{1,5})?\Z")
 REFUSED = 403  # HTTP status of a handshake from another origin
@@ -218,19 +218,19 @@ class Guard:
 
     def __init__(self, origins: Sequence[str]) -> None:
         self.origins = list(origins)
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
 
     def process_response(self, connection: Any, request: Any, response: Any) -> None:
-        """Forbid frames, tell a page at another address why it is empty, and the terminal which was refused."""
+        """Forbid frames, explain to a page at another address why it is empty, and print which address was refused."""
         response.headers["X-Frame-Options"] = "DENY"
         response.headers["Content-Security-Policy"] = "frame-ancestors 'none'"
         if response.status_code == REFUSED:
-            self._tell(request.headers.get("Origin"))
+            self._report(request.headers.get("Origin"))
         elif response.headers.get("Content-Type", "").startswith("text/html") and response.body:
             self._explain(response)
 
     def _explain(self, response: Any) -> None:
-        """Put a script into a page that replaces it where it is open at another address."""
+        """Put a script into a page that replaces it if it is open at another address."""
         packed = response.headers.get("Content-Encoding") == "gzip"
         page = gzip.decompress(response.body) if packed else response.body
         script = (SCRIPT % (json.dumps(self.origins), json.dumps(explanation(self.origins)))).encode()
@@ -240,9 +240,9 @@ class Guard:
         del response.headers["Content-Length"]
         response.headers["Content-Length"] = str(len(response.body))
 
-    def _tell(self, origin: str | None) -> None:
+    def _report(self, origin: str | None) -> None:
         name = shown(origin or "no address")[:200]
-        if name not in self._told and len(self._told) < 100:
-            self._told.add(name)
+        if name not in self._reported and len(self._reported) < 100:
+            self._reported.add(name)
             hint = f"; --origin {name} lets it in" if ORIGIN.match(name) else ""
             print(f"refused a page at {name}: the server answers {', '.join(self.origins)}{hint}", file=sys.stderr)

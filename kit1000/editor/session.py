@@ -26,9 +26,9 @@ class PartEdit:
     """What the hand has done to a part."""
 
     goal_from_now: Pose
-    """The motion, in the world, from where the part lies to where the hand has put it."""
+    """The motion, in the world, from the recorded pose of the part to where the hand has put it."""
     snapped: bool = False
-    """Whether it stands where a fit was taken."""
+    """Whether it stands at a fit that was taken."""
     confidence: float = 0.0
     """0 to 1: of the fit that was taken; 0 for a part placed by hand alone."""
     turned: bool = False
@@ -102,7 +102,7 @@ class Session:
         return cls(dict.fromkeys(parts, UNTOUCHED))
 
     def did(self, name: str, edits: Mapping[int, PartEdit]) -> Session:
-        """After an operation that gives some parts new edits; itself where none of them differs."""
+        """After an operation that gives some parts new edits; itself if none of them differs."""
         unknown = edits.keys() - self.edits.keys()
         if unknown:
             raise InputError(f"part {min(unknown)}: expected one of {', '.join(map(str, self.edits))}")
@@ -117,14 +117,14 @@ class Session:
         return Session(self._with(operation, after=True), (*self.done, operation))
 
     def undo(self) -> Session:
-        """Without the latest operation; itself where there is none."""
+        """Without the latest operation; itself if there is none."""
         if not self.done:
             return self
         *rest, last = self.done
         return Session(self._with(last, after=False), tuple(rest), (*self.undone, last))
 
     def redo(self) -> Session:
-        """With the operation undone last; itself where there is none."""
+        """With the operation undone last; itself if there is none."""
         if not self.undone:
             return self
         *rest, last = self.undone

@@ -72,7 +72,7 @@ def confidence_colour(confidence: float) -> Colour:
 
 
 def confidence_text(confidence: float) -> str:
-    """A number and a word, so that nothing is told by colour alone."""
+    """A number and a word, so that colour alone carries no information."""
     word = "sure" if confidence >= SURE else "likely" if confidence >= LIKELY else "not sure"
     return f"{100 * confidence:.0f} % {word}"
 

@@ -47,7 +47,7 @@ class Method:
     """Whether true geometry may be read."""
 
     def check(self) -> None:
-        """Raise InputError where there is no such method or module. The worker imports it: that takes seconds."""
+        """Raise InputError if there is no such method or module. The worker imports it: that takes seconds."""
         if ":" not in self.snap:
             try:
                 method_of(self.snap)
@@ -84,9 +84,9 @@ class Completion(NamedTuple):
     """What the image hides of the kits, as the method completes it."""
 
     kits: Mesh | None
-    """[m] world; None where the method completes no kits."""
+    """[m] world; None if the method completes no kits."""
     failure: str = ""
-    """Why there is none, where there should be."""
+    """Why there is none although there should be one."""
 
 
 class Worker:
@@ -228,7 +228,7 @@ def prepared(method: Method) -> Prepared:
 
 
 def proposals_of(made: Prepared, job: Job) -> list[Proposal]:
-    """All fits of a part; of a method that proposes none, its prediction, where the hand gives it a guess."""
+    """All fits of a part; of a method that proposes none, its prediction if there is a guess."""
     query, predictor = replace(made.queries[job.part], guess=job.guess), made.predictor
     geometry = made.dataset.geometry.true_geometry(made.dataset.truth_of(query)) if made.uses_truth else None
     if hasattr(predictor, "propose"):

@@ -32,7 +32,7 @@ class Workspace:
 
     interface: Interface = "scene"
     assists = True
-    """Whether the page helps the hand: drags slide over surfaces, keys align, contact is told."""
+    """Whether the page helps the hand: drags slide over surfaces, keys align, the page reports contact."""
 
     def __init__(self, scene: EditedScene, snaps: bool) -> None:
         """Nothing has moved. snaps: whether a method proposes fits."""
@@ -64,11 +64,11 @@ class Workspace:
         return part_name(body)
 
     def pivot(self, body: int) -> np.ndarray:
-        """(3,) [m] world: about which a body turns, where it lies."""
+        """(3,) [m] world: about which a body turns, at its recorded pose."""
         return self.scene.pivot(body)
 
     def cloud(self, body: int) -> np.ndarray:
-        """(n, 3) [m] world: bounds what must stand on a surface, where the body lies."""
+        """(n, 3) [m] world: bounds what must stand on a surface, at the recorded pose of the body."""
         return self.scene.clouds[body]
 
     def surface(self, body: int) -> Surface:
@@ -77,7 +77,7 @@ class Workspace:
         return self.pointing
 
     def carried(self, body: int) -> int | None:
-        """The part that moves with a body; None where there is none."""
+        """The part that moves with a body; None if there is none."""
         return body
 
     def part_edit(self, body: int) -> PartEdit:
@@ -94,7 +94,7 @@ class Workspace:
             self.selected, self.fit_index = body, 0
 
     def plate_of(self, body: int) -> Plate:
-        """The plate that a body is on; the table where it is on none."""
+        """The plate that a body is on; the table if it is on none."""
         return self.surface(body).below(self.current[body].goal_from_now.apply(self.pivot(body)))
 
     def over_kits(self, body: int) -> bool:
@@ -148,7 +148,7 @@ class Workspace:
         return Step("snap " + ", ".join(part_name(part) for part in sorted(changes)), changes) if changes else None
 
     def confirmed(self, bodies: Sequence[int]) -> Step | None:
-        """The step that confirms the bodies over a plate; None where none is."""
+        """The step that confirms the bodies over a plate; None if none is."""
         ready = [body for body in bodies if self.over_kits(body)]
         edits = {part: self.session.edits[part].confirm() for part in ready}
         return Step("confirm " + ", ".join(map(part_name, ready)), edits) if ready else None

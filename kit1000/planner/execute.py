@@ -60,7 +60,7 @@ class PartRun:
     """Number of grasps that were tried."""
     physics: Mapping[str, Any] = field(default_factory=dict)
     """Where the part came to rest: height, offset [mm] and angle [degrees] from the goal, and the outcome of the
-    insertion in the terms of `kit1000.sim.insertion`. Empty where it was not picked."""
+    insertion in the terms of `kit1000.sim.insertion`. Empty if it was not picked."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +72,7 @@ class Event:
     part: int
     leg: Leg | None = None
     kind: str = ""
-    """grasp or rest, where there is no leg"""
+    """grasp or rest, if there is no leg"""
     pose: Pose | None = None
     """tool_from_part after a grasp, world_from_part at rest."""
 
@@ -125,7 +125,7 @@ class Bench:
         return find_grasps(self.images.get(part, self.image), part, self.flatness)
 
     def seal_height(self, part: int, grasp: Grasp) -> float | None:
-        """The height [m] at which the cup of a grasp seals on a part and carries it; None where it does not."""
+        """The height [m] at which the cup of a grasp seals on a part and carries it; None if it does not."""
         height = touch(self.parts[part].mesh, self.poses[part], grasp)
         return height if is_held(grasp, self.parts[part].mass * GRAVITY) else None
 

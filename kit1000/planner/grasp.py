@@ -27,7 +27,7 @@ NOZZLE_ROOM = 3e-3  # [m] about the cup, where nothing may rise above the surfac
 FLATNESS = 0.5e-3  # [m] by which the lip of the cup bends
 SEEN_FLATNESS = {"ideal": FLATNESS, "photoneo": 1e-3, "d415": 2.5e-3}  # [m] by sensor: noise of its depths comes on top
 MAX_TILT = np.radians(8)  # of the surface: the bellows bend no farther
-TRUE_TILT = np.radians(10)  # the same where the cup touches: what is seen is not exact
+TRUE_TILT = np.radians(10)  # the same on the true surface under the cup: the image is not exact
 CANDIDATE_SPACING = 2e-3  # [m]
 WIDER_RINGS = np.array([1e-3, 1.5e-3, 2e-3, 3e-3, 5e-3])  # [m] beyond the cup: radii of samples that give the margin
 MARGIN_WEIGHT = 5.0  # of a margin against a lever arm: a leak loses the part, a lever arm only lets it swing
@@ -56,7 +56,7 @@ class Grasp:
 
 
 def find_grasps(image: LabelledDepth, part: int, flatness: float = FLATNESS) -> list[Grasp]:
-    """The best grasps of a part, larger cups first, then best first, at most MAX_GRASPS a cup; none where none seals.
+    """The best grasps of a part, larger cups first, then best first, at most MAX_GRASPS a cup; none if none seals.
 
     image: as seen. part: index of the part. flatness: [m] that seen heights may deviate from a plane.
     """
@@ -64,7 +64,7 @@ def find_grasps(image: LabelledDepth, part: int, flatness: float = FLATNESS) -> 
 
 
 def best_grasp(image: LabelledDepth, part: int, flatness: float = FLATNESS) -> Grasp | None:
-    """The first grasp of `find_grasps`; None where no cup seals."""
+    """The first grasp of `find_grasps`; None if no cup seals."""
     return next((grasps[0] for grasps in _grasps_by_cup(image, part, flatness) if grasps), None)
 
 
@@ -105,7 +105,7 @@ def _grasps_of_cup(
 def _margins(
     image: LabelledDepth, mask: np.ndarray, candidates: np.ndarray, cup: float, flatness: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Margin [m] of each candidate (n, 3), NaN where the cup does not seal, and the height [m] of its plane there."""
+    """Margin [m] of each candidate (n, 3), NaN if the cup does not seal, and the height [m] of its plane there."""
     offsets, radii = _disc((cup / 2, cup, cup + RIM, *(cup + WIDER_RINGS)))
     under = radii <= cup + RIM
     level = np.concatenate([np.zeros((len(candidates), 2)), candidates[:, 2:]], axis=1)
@@ -179,7 +179,7 @@ def is_held(grasp: Grasp, weight: float) -> bool:
 
 
 def touch(mesh: Mesh, world_from_part: Pose, grasp: Grasp) -> float | None:
-    """The height [m] at which the cup, coming down at a grasp, seals on the true part; None where it leaks."""
+    """The height [m] at which the cup, coming down at a grasp, seals on the true part; None if it leaks."""
     point = grasp.point
     spots = point[:2] + _disc((grasp.cup / 2, grasp.cup))[0]
     heights = top_heights(mesh.moved(world_from_part), spots)

@@ -55,7 +55,7 @@ def line_poses(start: Pose, end: Pose) -> Pose:
 
 
 def line_joints(base_from_tool: Pose) -> np.ndarray:
-    """(8, n, 6) [rad] joints along a line of poses (n,), by branch; NaN throughout where a branch cannot follow it."""
+    """(8, n, 6) [rad] joints along a line of poses (n,), by branch; NaN throughout if a branch cannot follow it."""
     joints = np.unwrap(np.moveaxis(inverse(base_from_tool), 1, 0), axis=1)
     followed = np.isfinite(joints).all((1, 2)) & (np.abs(np.diff(joints, axis=1)).max((1, 2), initial=0) <= LINE_STEP)
     joints[~followed] = np.nan
@@ -65,7 +65,7 @@ def line_joints(base_from_tool: Pose) -> np.ndarray:
 def turned_near(joints: np.ndarray, reference: np.ndarray) -> np.ndarray | None:
     """A line's joints (n, 6) by whole turns so that it starts nearest to a reference (6,), all within the limits.
 
-    None where no turns keep it within them.
+    None if no turns keep it within them.
     """
     turns = 2 * np.pi * np.arange(-2, 3)
     low, high = joints.min(0), joints.max(0)
@@ -135,7 +135,7 @@ class _Tree:
 
 
 def _shortened(path: np.ndarray, is_free: IsFree, rng: np.random.Generator) -> np.ndarray:
-    """A path with corners left out where the straight way is free."""
+    """A path with corners left out if the straight way is free."""
     for _ in range(SHORTCUTS):
         if len(path) <= 2:
             break

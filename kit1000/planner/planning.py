@@ -207,7 +207,7 @@ def _moves_contact(cell: Cell, task: Task, held: Held, corners: list[np.ndarray]
 def _find_moves(
     cell: Cell, task: Task, pair: _Pair, start: np.ndarray, rng: np.random.Generator
 ) -> list[np.ndarray] | None:
-    """Corners of both joint moves, found by trees; None where one is not found."""
+    """Corners of both joint moves, found by trees; None if one is not found."""
     above, hover = pair.reach[0], pair.carry[0]
     empty = find_path(start, above, lambda joints: cell.contact(joints) is None, rng)
     if empty is None:

@@ -36,7 +36,7 @@ def run_predictions(
         root: dataset folder with ground truth.
         predictions: submission folder or predictions file.
         scene_id: one scene; all with a prediction when None.
-        track: track whose predictions are carried out; needed where the file has several.
+        track: track whose predictions are carried out; needed if the file has several.
         out: folder.
         seed: of the path planner.
     """
