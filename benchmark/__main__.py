@@ -41,7 +41,7 @@ class Score:
     data: Folder
     """Dataset folder, with ground truth."""
     out: OptionalPath = None
-    """File for the scores; scores.json in the folder of the submission when absent."""
+    """File for the scores; scores.json in the folder of the submission if absent."""
     per_query: OptionalPath = None
     """CSV file with one row per query."""
     split: Split = "test"
@@ -51,7 +51,7 @@ class Score:
     workers: int = 1
     """Number of processes for the seating test; any number gives the same scores."""
     cache: OptionalPath = None
-    """Folder of cached results; below ~/.cache/kit1000 when absent."""
+    """Folder of cached results; below ~/.cache/kit1000 if absent."""
     no_cache: bool = False
     """Measure everything, and cache nothing."""
     breakdown: bool = False
@@ -95,7 +95,7 @@ class Rescore:
     workers: int = 1
     """Number of processes; each scores one submission at a time."""
     refresh: bool = False
-    """Write scores.json anew where the scores are the same, so that it names the code of today."""
+    """Write scores.json again if the scores are the same, so that it names the current code."""
 
     def run(self) -> int:
         """Score and compare."""
@@ -138,13 +138,13 @@ class Compare:
     data: Folder
     """Dataset folder, with ground truth."""
     tracks: tuple[str, ...] = ()
-    """Tracks to compare; all that both have when absent."""
+    """Tracks to compare; all that both have if absent."""
     out: OptionalPath = None
     """JSON file for the comparison."""
     workers: int = 1
     """Number of processes for the seating test."""
     cache: OptionalPath = None
-    """Folder of cached results; below ~/.cache/kit1000 when absent."""
+    """Folder of cached results; below ~/.cache/kit1000 if absent."""
     no_cache: bool = False
     """Measure everything, and cache nothing."""
 
@@ -192,7 +192,7 @@ class Table2:
     masks: Literal["given", "predicted"] = "given"
     """Masks by which the robot finds parts in rows that state predicted masks: recorded or predicted ones."""
     scenes: OptionalInt = None
-    """Number of scenes, the first ones; all when absent."""
+    """Number of scenes, the first ones; all if absent."""
     out: OptionalPath = None
     """JSON file for the numbers."""
 
@@ -259,7 +259,7 @@ def _cache(folder: Path | None, none: bool) -> ResultCache | None:
 
 
 def _check_scores(path: Path) -> None:
-    """Raise InputError where a file holds anything but scores, which new ones may replace."""
+    """Raise InputError if a file holds anything but scores: only scores may be replaced."""
     from kit1000.files import read_json
 
     if not path.is_file():
@@ -269,7 +269,7 @@ def _check_scores(path: Path) -> None:
     except InputError:
         known = None
     if not isinstance(known, dict) or "protocol" not in known:
-        raise InputError(f"{path}: is there already and of another origin: it stays; name another file by --out")
+        raise InputError(f"{path}: exists and holds no scores: it stays; name another file by --out")
 
 
 COMMANDS = {

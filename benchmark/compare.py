@@ -2,8 +2,8 @@
 
 Both have the same queries, so the difference is taken query by query and its mean resampled by assembly and part, as in
 `intervals`. The two-sided p value comes from the same resamples: with c of B on the rarer side of zero, zeros counted
-on both, it is 2 (c + 1) / (B + 1), at most 1; so it is below 0.05 where the interval excludes zero. A rate, such as
-seated, is one bit per query: its p value is that of McNemar's exact test, from the queries that only one method passes.
+on both, it is 2 (c + 1) / (B + 1), at most 1; so it is below 0.05 if the interval excludes zero. A rate, such as
+seated, is one bit per query: its p value is from McNemar's exact test on the queries that only one method passes.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Difference:
     p: float
     """Two-sided; of a rate from McNemar's exact test, else from the bootstrap. In JSON, 0 is less than 1e-9."""
     better: str | None
-    """A or B; None where the difference is not significant."""
+    """A or B; None if the difference is not significant."""
     only_a: int | None = None
     """Number of queries that only A passes, for a rate."""
     only_b: int | None = None
@@ -66,7 +66,7 @@ class TrackComparison:
     n: int
     """Queries that both predict: those compared."""
     differences: dict[str, Difference | None]
-    """Differences by key of the quantity; None where one of the two does not predict it, or n is 0."""
+    """Differences by key of the quantity; None if one of the two does not predict it, or n is 0."""
 
 
 @dataclass(frozen=True)
@@ -99,10 +99,10 @@ def run(
         a: folder of a submission.
         b: folder of another.
         data: dataset folder, with its truth.
-        tracks: those to compare; all that both have when empty.
-        out: JSON file; nothing is written when absent.
+        tracks: the tracks to compare; all that both have if empty.
+        out: JSON file; nothing is written if absent.
         workers: processes for the seating test.
-        cache: of measured rows; none when absent.
+        cache: cache of measured rows; none if absent.
     """
     protocol, dataset = read_protocol(), Dataset(data)
     submissions = [read_valid_submission(folder) for folder in (a, b)]
@@ -119,7 +119,7 @@ def compare(a: Scores, b: Scores, tracks: Sequence[str] = (), draws: int = DRAWS
     Args:
         a: scores of one.
         b: scores of the other.
-        tracks: those to compare; all that both have when empty.
+        tracks: the tracks to compare; all that both have if empty.
         draws: number of resamples.
         seed: of all resamples.
     """
@@ -170,7 +170,7 @@ def _differences(a: PerQuery, b: PerQuery, draws: int, seed: int) -> dict[str, D
 
 
 def _pair(a: PerQuery, b: PerQuery, quantity: Quantity) -> np.ndarray:
-    """(2, n) the quantity of A and of B, NaN where it was not measured."""
+    """(2, n) the quantity of A and of B, NaN if it was not measured."""
     pair = np.stack([np.asarray(rows.quantities[quantity.key], np.float64) for rows in (a, b)])
     if quantity.rate and quantity.needs_position:  # a bool has no NaN: without positions there is no MSSD either
         mssd = [rows.quantities[quantities.MSSD.key] for rows in (a, b)]

@@ -26,7 +26,7 @@ def write_curves(submissions: Sequence[Path], out: Path) -> tuple[Path, Path]:
 
     Args:
         submissions: folders that hold a scores.json, or such files.
-        out: the folder; made where it is missing.
+        out: the folder; made if it is missing.
     """
     curves = dict(map(_read_curves, submissions))
     if len(curves) < len(submissions):
@@ -69,7 +69,7 @@ def compared(curve: Curve, curves: Mapping[str, Table]) -> list[str]:
 
 
 def counts(of_rows: Sequence[int]) -> str:
-    """The number of queries behind each point: n = 40, or n = 12 to 40 where it varies."""
+    """The number of queries behind each point: n = 40, or n = 12 to 40 if it varies."""
     fewest, most = min(of_rows, default=0), max(of_rows, default=0)
     return f"n = {most}" if fewest == most else f"n = {fewest} to {most}"
 

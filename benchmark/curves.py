@@ -74,13 +74,13 @@ def curve_table(query_ids: Sequence[str], position_mm: ArrayLike, rotation_deg: 
 
     Args:
         query_ids: n ids of the curves, such as curves-s0007-p2-pos3-rot1, in any order; some may be left out.
-        position_mm: (n,) position errors [mm]; NaN where a method predicts rotations alone.
+        position_mm: (n,) position errors [mm]; NaN if a method predicts rotations alone.
         rotation_deg: (n,) rotation errors [degrees].
 
     Returns:
         Under "position" and "rotation" a row for every fixed error and level of the ids, in this order: the fixed
         error and that of the level in mm and degrees, n, and of the error left mean, median, 20th and 80th percentile,
-        null where it was not measured.
+        null if it was not measured.
     """
     left = {"pos": _errors(POSITION, position_mm, query_ids), "rot": _errors(ROTATION, rotation_deg, query_ids)}
     groups: dict[tuple[str, int, int], list[float]] = defaultdict(list)

@@ -48,7 +48,7 @@ def run(documents: Iterable[Path], results: Path, submissions: Path) -> list[Pat
 def filled(path: Path, results: Path, entries: Sequence[Entry]) -> str:
     """The text of a document with all tables as they should be.
 
-    Raises InputError where marks do not pair or name nothing.
+    Raises InputError if marks do not pair or name nothing.
     """
     text = path.read_text(encoding="utf-8")
     marks = MARKED.findall(text)
@@ -93,7 +93,7 @@ def caption(measurement: Measurement) -> str:
 
 
 def score_table(name: str, entries: Sequence[Entry], words: Sequence[str]) -> Table:
-    """The table `name` of TABLES. words: first a track where the table is of one, then submissions in their order."""
+    """The table `name` of TABLES. words: the track, for a table about one track; then submissions in their order."""
     if name not in TABLES:
         raise InputError(f"no table {name!r} of submissions; {did_you_mean(name, TABLES)}there are {', '.join(TABLES)}")
     return TABLES[name](entries, list(words))
@@ -209,7 +209,7 @@ def _named(entry: Entry) -> dict[str, str]:
 
 
 def _stored(quantity: Quantity, row: dict[str, Any]) -> Any:
-    """An estimate as scores.json holds it; None where it was not measured."""
+    """An estimate as scores.json holds it; None if it was not measured."""
     stored = row.get(quantity.key)
     return stored if stored and stored.get("rate" if quantity.rate else "mean") is not None else None
 

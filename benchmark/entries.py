@@ -43,7 +43,7 @@ class Entry:
 def read_entries(submissions: Path) -> tuple[Entry, ...]:
     """The scored submissions of a folder, by name.
 
-    Raises InputError when scores are not those of the files beside them, or when two entries cannot share a table.
+    Raises InputError if scores were made of other files than those beside them, or if two entries cannot share a table.
     """
     entries = tuple(_read(folder) for folder in _folders(submissions) if (folder / "scores.json").is_file())
     _check_setting(entries)

@@ -28,13 +28,13 @@ class AlignedPredictions(NamedTuple):
     """The predictions of a submission for n queries, in their order."""
 
     motions: Pose
-    """(n,) goal_from_now; the zero motion where there is no prediction."""
+    """(n,) goal_from_now; the zero motion if there is no prediction."""
     covered: np.ndarray
     """(n,) bool: whether there is a prediction."""
     confidence: np.ndarray
     """(n,) 0 to 1; 0 without a prediction."""
     seconds: np.ndarray
-    """(n,) NaN where it was not measured."""
+    """(n,) NaN if it was not measured."""
 
 
 def align(predictions: Predictions, queries: ScoredQueries) -> AlignedPredictions:
@@ -85,7 +85,7 @@ def evaluate(
 
 
 def pose_quantities(queries: ScoredQueries, motions: Pose, rotation_only: bool) -> dict[str, np.ndarray]:
-    """The quantities (n,) that depend on the predicted pose alone, by key; NaN where positions are not predicted."""
+    """The quantities (n,) that depend on the predicted pose alone, by key; NaN if positions are not predicted."""
     targets = queries.targets
     errors = pose_errors(centred(motions, targets) if rotation_only else motions, targets)
     measured = {
@@ -185,7 +185,7 @@ class PerQuery:
     exact_test: np.ndarray
     """bool: whether the exact seating test ran."""
     exact_disagreement: np.ndarray
-    """bool: whether its result differs from that of the fast test."""
+    """bool: whether its result differs from the result of the fast test."""
     confidence: np.ndarray
     """0 to 1; 0 without a prediction."""
     rest_mode: np.ndarray
@@ -201,9 +201,9 @@ class PerQuery:
     visible: np.ndarray
     """Share of the part's silhouette that is visible to the camera."""
     noise_px: np.ndarray
-    """[px] RMS noise of the disparity of the image; 0 of ideal depth, NaN where it is not known."""
+    """[px] RMS noise of the disparity of the image; 0 of ideal depth, NaN if it is not known."""
     symmetry: np.ndarray
-    """str: one goal, several goals, or free axis; that of the part in its slot."""
+    """str: one goal, several goals, or free axis: the symmetry of the part in its slot."""
 
     def __post_init__(self) -> None:
         keys = [quantity.key for quantity in quantities.per_query()]

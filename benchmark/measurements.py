@@ -27,7 +27,7 @@ from kit1000.errors import InputError
 from kit1000.files import write_bytes
 from kit1000.metrics import METRIC_VERSIONS
 
-NO_VALUE = "–"  # where nothing was measured
+NO_VALUE = "–"  # if nothing was measured
 SETTING = (
     "command",
     "commit",
@@ -122,7 +122,7 @@ class Measurement:
         return self.tables[name]
 
     def report(self, out: Path | None) -> None:
-        """Print the tables and, where `out` is given, write them there as JSON."""
+        """Print the tables and, if `out` is given, write them there as JSON."""
         print(self.text())
         if out is not None:
             self.write(out)
@@ -149,7 +149,7 @@ class Measurement:
 
 
 def read_measurement(path: Path) -> Measurement:
-    """The measurement in a file. Raises InputError naming the file where it is none."""
+    """The measurement in a file. Raises InputError with the name of the file if it holds none."""
     try:
         stored = json.loads(path.read_text(encoding="utf-8"))
         setting = {key: stored[key] for key in SETTING}
@@ -211,7 +211,7 @@ def _command(dataset: Dataset | None) -> str:
 
 
 def _without_out(words: list[str]) -> list[str]:
-    """Words without `--out FILE`, which says where and not what."""
+    """Words without `--out FILE`, which does not change the measurement."""
     if "--out" not in words:
         return words
     place = words.index("--out")

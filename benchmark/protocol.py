@@ -46,8 +46,8 @@ class Protocol:
     histograms: Mapping[str, tuple[float, ...]]
     """Lower ends of the bins of position_mm and rotation_deg; the last bin is open."""
     curves: Mapping[str, Any]
-    """The split and track of the robustness curves, their levels and the percentiles of their band. They are of the
-    `first_scenes` alone where nothing beyond is predicted."""
+    """The split and track of the robustness curves, their levels and the percentiles of their band. They hold the
+    `first_scenes` alone if no other is predicted."""
     risk_points: int
     """Number of points of a risk-coverage curve."""
     listed: int
@@ -65,7 +65,7 @@ class Protocol:
 
 
 def read_protocol(name: str = CURRENT) -> Protocol:
-    """The protocol of a name. Raises InputError when there is none, or when the code differs from it."""
+    """The protocol of a name. Raises InputError if there is none, or if the code differs from it."""
     known = sorted(path.stem for path in FOLDER.glob("*.json"))
     if name not in known:
         raise InputError(f"no protocol {name!r}; there are {', '.join(known)}")
@@ -93,7 +93,7 @@ def _check_named(protocol: Protocol, name: str) -> None:
 
 
 def _check_metrics(protocol: Protocol) -> None:
-    """Refuse a protocol whose metric versions and limits are not those of the code."""
+    """Refuse a protocol whose metric versions and limits differ from the code."""
     versions = metrics.METRIC_VERSIONS
     for metric, version in protocol.metric_versions.items():
         if versions.get(metric) != version:

@@ -80,7 +80,7 @@ class Quantity:
         return f"{round(value, self.decimals) + 0.0:.{self.decimals}f}"
 
     def estimate(self, row: Mapping[str, Any]) -> tuple[float | None, tuple[float, float] | None]:
-        """The mean or rate of a row of scores.json and its 95 % interval, as shown; None where it was not measured."""
+        """The mean or rate of a row of scores.json and its 95 % interval, as shown; None if it was not measured."""
         stored = row.get(self.key) or {}
         value = stored.get("rate" if self.rate else "mean")
         if value is None:
@@ -89,7 +89,7 @@ class Quantity:
         return self.scale * value, (self.scale * low, self.scale * high)
 
     def median(self, row: Mapping[str, Any]) -> float | None:
-        """The median of a row of scores.json; None where it was not measured."""
+        """The median of a row of scores.json; None if it was not measured."""
         return (row.get(self.key) or {}).get("median")
 
 

@@ -28,10 +28,10 @@ def rescore(
         folders: of the submissions, each with predictions.csv and scores.json.
         data: dataset folder, with its truth.
         workers: processes; each scores one submission at a time.
-        refresh: write the new scores.json where the scores are the same: it then names the code of today.
+        refresh: write the new scores.json if the scores are the same: it then names the current code.
 
     Yields:
-        Each folder when it is done, with a line for each value that differs, such as
+        Each folder once it is done, with a line for each value that differs, such as
         `tracks.snap.position_mm.mean: 1.82 before, 1.83 now`.
     """
     with local_engine(min(workers, len(folders))) as spread:

@@ -75,11 +75,11 @@ def score(
     Args:
         submission: as `kit1000.read_submission` returns it.
         dataset: the one of its predictions, with ground truth.
-        protocol: the current one when absent.
-        split: the protocol's first, test, when absent; with it the curves are scored too.
+        protocol: the current one if absent.
+        split: the protocol's first, test, if absent; with it the curves are scored too.
         exact: near, all or never: the predictions that the exact seating test decides.
         workers: processes for the seating test.
-        cache: of measured rows; none when absent.
+        cache: cache of measured rows; none if absent.
     """
     protocol = protocol or read_protocol()
     split = split or protocol.splits[0]
@@ -103,7 +103,7 @@ def _queries(
 ) -> ScoredQueries:
     """The queries of the tracks in a split, and those of the curves when it is the protocol's own split.
 
-    The curves are of all their scenes, or of the first ones alone where nothing beyond is predicted: methods are slow.
+    The curves hold all their scenes, or only the first ones if no other is predicted, since methods are slow.
     """
     parts: list[ScoredQueries] = []
     config = dataset.summary["config"]

@@ -96,7 +96,7 @@ def estimates(
     protocol: Protocol,
     rotation_only: bool,
 ) -> dict[str, Row | None]:
-    """Means and rates of some quantities, by key; None where nothing was measured.
+    """Means and rates of some quantities, by key; None if nothing was measured.
 
     Args:
         of: the quantities.
@@ -115,7 +115,7 @@ def estimates(
 
 
 def means(columns: Mapping[str, np.ndarray], clusterings: Clusterings, protocol: Protocol) -> dict[str, Row | None]:
-    """Mean, median and interval of columns (n,), over the rows where they were measured; None where nothing was."""
+    """Mean, median and interval of columns (n,), over the rows in which they were measured; None if nothing was."""
     complete = [name for name, column in columns.items() if np.isfinite(column).all()]
     found: dict[str, Row | None] = dict.fromkeys(columns)
     if complete:  # the same draws serve all of them
@@ -142,7 +142,7 @@ def _rate(passed: np.ndarray, clusterings: Clusterings) -> Row:
 
 
 def histogram(values: np.ndarray, edges: Sequence[float]) -> Row | None:
-    """Counts between edges; the last bin is open, so its upper edge is null. values: (n,), NaN when not measured."""
+    """Counts between edges; the last bin is open, so its upper edge is null. values: (n,), NaN if not measured."""
     if np.isnan(values).any():
         return None
     counts, _ = np.histogram(values, [*edges, np.inf])

@@ -23,7 +23,7 @@ NOT_YET = "not yet"  # if no submission is scored
 NO_VALUE = "–"  # if nothing was measured or printed
 
 Pair = tuple[float | None, float | None]
-"""Position error in mm and rotation error in degrees, None where the paper prints none."""
+"""Position error in mm and rotation error in degrees, None if the paper prints none."""
 NOTHING: Pair = (None, None)
 
 
@@ -126,7 +126,7 @@ def run(submissions: Path, out: Path | None = None) -> None:
 
 
 def read_table(submissions: Path) -> Table:
-    """The table of a folder of submissions. Raises InputError when two of them cannot share a table."""
+    """The table of a folder of submissions. Raises InputError if two of them cannot share a table."""
     return table_of(read_entries(submissions))
 
 
@@ -240,7 +240,7 @@ def _number(error: Quantity, value: float | None) -> str:
 
 
 def _count(row: Row, track: str) -> str:
-    """The number of queries, and the share of them with a prediction where it is not all."""
+    """The number of queries, and the share of them with a prediction if not all have one."""
     scored = row.tracks.get(track)
     if scored is None:
         return NOT_YET if row.submission is None else NO_VALUE

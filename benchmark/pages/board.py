@@ -58,7 +58,7 @@ class Board:
 
 
 def read_board(submissions: Path) -> Board:
-    """The board of a folder of submissions. Raises InputError when none is scored, or two cannot share a table."""
+    """The board of a folder of submissions. Raises InputError if none is scored, or if two cannot share a table."""
     entries = read_entries(submissions)
     if not entries:
         raise InputError(f"{submissions}: no scored submission (folders with manifest.toml and scores.json)")
@@ -130,7 +130,7 @@ def track_tables(board: Board) -> list[TrackTable]:
 
 
 def _real_tables(entries: Sequence[Entry]) -> list[TrackTable]:
-    """A table for each track of the real scenes; an empty one where there are none."""
+    """A table for each track of the real scenes; an empty one if there are none."""
     scored = [track for track in TRACKS if any(track in entry.scores["tracks"] for entry in entries)]
     tables = [_table(entries, track) for track in scored]
     described = [
@@ -171,7 +171,7 @@ def _row(entry: Entry, scored: Mapping[str, Any], ends: Mapping[str, float]) -> 
     return Row(entry, cells, runtime_class(seconds))
 
 
-NO_VALUE = "–"  # where nothing was measured
+NO_VALUE = "–"  # if nothing was measured
 
 
 @dataclass(frozen=True)
@@ -186,7 +186,7 @@ class Cell:
 
 
 def mean_cell(quantity: Quantity, row: Mapping[str, Any], scale_end: float | None = None) -> Cell:
-    """The mean or rate, its interval drawn from 0 to `scale_end` where that is given."""
+    """The mean or rate, its interval drawn from 0 to `scale_end` if given."""
     value, interval = quantity.estimate(row)
     if value is None or interval is None:
         return Cell(NO_VALUE, None)
@@ -213,5 +213,5 @@ def scale_end(quantity: Quantity, rows: Sequence[Mapping[str, Any]]) -> float:
 
 
 def percent(share: float) -> str:
-    """A share as a percentage, without decimals where it is whole."""
+    """A share as a percentage, without decimals if it is whole."""
     return f"{100 * share:.1f}".removesuffix(".0") + " %"

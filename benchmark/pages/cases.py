@@ -54,7 +54,7 @@ def case_ids(track: Mapping[str, Any]) -> list[str]:
 
 
 def pictures(dataset: Dataset, entry: Entry, query_ids: Sequence[str]) -> dict[str, bytes]:
-    """A JPEG of each prediction, by query id. Raises InputError when the predictions of the entry are not there."""
+    """A JPEG of each prediction, by query id. Raises InputError if the predictions of the entry are not there."""
     if dataset.id != entry.scores["dataset_id"]:
         raise InputError(
             f"{dataset.root}: is dataset {dataset.id}; the scores of {entry.name} are on {entry.scores['dataset_id']}"

@@ -14,7 +14,7 @@ from benchmark.curves import CURVES
 from benchmark.entries import Entry
 from benchmark.pages import board as boards
 from benchmark.pages import method as methods
-from benchmark.pages.board import Board, read_board
+from benchmark.pages.board import Board, mean_cell, median_cell, percent, read_board
 from benchmark.pages.cases import case_ids, pictures
 from benchmark.table1 import as_html, table_of
 from kit1000.dataset.reader import Dataset
@@ -30,7 +30,7 @@ def build(submissions: Path, out: Path, data: Path | None = None, rescored: bool
 
     Args:
         submissions: a folder with a folder for each method, `manifest.toml` and `scores.json` in it.
-        out: where the pages go; made where it is missing.
+        out: where the pages go; made if it is missing.
         data: the dataset of the scores, with ground truth, to draw single queries; without it they are only listed.
         rescored: whether `benchmark.score` has reproduced the scores with this dataset; stated on every page.
     """
@@ -59,6 +59,9 @@ def _environment(board: Board, rescored: bool) -> jinja2.Environment:
         lstrip_blocks=True,
     )
     pages.globals |= {"board": board, "setting": board.setting, "data_licence": LICENCE, "rescored": rescored}
+    functions = (mean_cell, median_cell, percent, methods.track_charts, methods.groups)
+    pages.globals |= {function.__name__: function for function in (*functions, methods.case_caption, methods.case_text)}
+    pages.globals["case_titles"] = methods.CASE_TITLES
     return pages
 
 
@@ -81,14 +84,14 @@ def _index(board: Board) -> dict[str, Any]:
 def _method(entry: Entry, files: dict[str, str], with_data: bool) -> dict[str, Any]:
     return {
         "entry": entry,
-        "rows": methods.summary_rows(entry),
         "quantities": quantities.QUANTITIES,
         "explained": [quantity for quantity in quantities.QUANTITIES if "board" not in quantity.outputs],
         "in_breakdown": quantities.shown_in("breakdown"),
         "in_cases": quantities.shown_in("cases"),
         "overview": methods.overview_charts(entry),
         "curves": methods.curve_charts(entry),
-        "sections": [methods.track_section(entry, track, files) for track in methods.tracks_of(entry)],
+        "tracks": {track: entry.scores["tracks"][track] for track in methods.tracks_of(entry)},
+        "pictures": files,
         "with_data": with_data,
     }
 

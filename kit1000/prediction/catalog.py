@@ -46,9 +46,9 @@ class Method:
     camera_set: str = "primary"
     """The cameras that it reads, see `kit1000.sim.cameras.camera_set`."""
     label: str = ""
-    """Short name in tables; the method's name when empty."""
+    """Short name in tables; the method's name if empty."""
     paper_row: str = ""
-    """Key of the row of the paper's Table I that it reproduces, see `benchmark.table1`; none when empty."""
+    """Key of the row of the paper's Table I that it reproduces, see `benchmark.table1`; none if empty."""
 
 
 def all_methods(tables: Sequence[str] = TABLES) -> dict[str, Method]:

@@ -19,7 +19,7 @@ from kit1000.submission.predictions import Rows
 if TYPE_CHECKING:
     from kit1000.submission.expected_queries import ExpectedQueries
 
-IMPOSSIBLE = 10.0  # [m] median length of x, y, z; that of correct motions is 0.3 m
+IMPOSSIBLE = 10.0  # [m] median length of x, y, z; about 0.3 m for correct motions
 LEAST_ROWS = 10  # for a statement about all rows
 IN_KIT = 0.06  # [m] from a pivot to the guessed one: guesses are within 0.05 m of the goals
 FEW, ENOUGH, GAIN = 0.5, 0.6, 0.3  # shares of parts in their kits: as they are, after a correction, and the difference

@@ -25,7 +25,7 @@ class ExpectedQueries:
 
     dataset_id: str
     checksum: str | None
-    """Checksum of the files of this copy; None when dataset.json has none."""
+    """Checksum of the files of this copy; None if dataset.json has none."""
     query_ids: tuple[str, ...]
     tracks: tuple[str, ...]
     """(n,) track of each query."""
@@ -36,13 +36,13 @@ class ExpectedQueries:
     pivots: np.ndarray
     """(n, 3) [m] world."""
     guessed_positions: np.ndarray
-    """(n, 3) [m] world: the pivot under the user's initial guess for this part; NaN where there is none."""
+    """(n, 3) [m] world: the pivot under the user's initial guess for this part; NaN if there is none."""
     guessed_rotations: np.ndarray
-    """(n, 4) wxyz of the initial guess; NaN where there is none."""
+    """(n, 4) wxyz of the initial guess; NaN if there is none."""
     public_id: str | None = None
     """The id of the public dataset whose withheld ground truth this folder has."""
     cameras: Callable[[np.ndarray], Pose] | None = None
-    """world_from_camera (k,) of the images of some queries, by their indices (k,); None where unknown."""
+    """world_from_camera (k,) of the images of some queries, by their indices (k,); None if unknown."""
 
     @cached_property
     def index(self) -> dict[str, int]:

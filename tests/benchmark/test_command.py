@@ -50,7 +50,7 @@ def test_a_file_that_holds_no_scores_stays(
     for text in ("my notes", "[1]", '{"my": "numbers"}'):
         (folder / "scores.json").write_text(text)
         assert main(words) == 2
-        assert "scores.json: is there already and of another origin: it stays" in capsys.readouterr().err
+        assert "scores.json: exists and holds no scores" in capsys.readouterr().err
         assert (folder / "scores.json").read_text() == text
     (folder / "scores.json").write_text('{"protocol": "of last year"}')
     assert main(words) == 0
