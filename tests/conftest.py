@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import fcntl
 import itertools
 import os
@@ -32,6 +33,9 @@ settings.load_profile("kit1000")
 
 # The processes of a run share the cores: further threads of torch would busily wait for each other.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+# The last thing that a process prints are objects that manifold3d takes for leaked, since some outlive the interpreter.
+atexit.register(lambda: os.dup2(os.open(os.devnull, os.O_WRONLY), 2))
 
 GENERATED = {"mini", "withheld", "real_parts"}  # fixtures; those that build on them count too
 LONG = 0.15  # [s] of processor time for a test function with all its cases
