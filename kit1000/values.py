@@ -142,6 +142,14 @@ class View:
         size = (self.camera.height, self.camera.width)
         object.__setattr__(self, "depth", checked("depth", self.depth, size, np.float32))
 
+    @classmethod
+    def adopt(cls, camera: Camera, world_from_camera: Pose, depth: np.ndarray) -> View:
+        """A view with a read-only array (H, W) float32 [m] of this package, neither copied nor checked."""
+        view = object.__new__(cls)
+        for name, value in (("camera", camera), ("world_from_camera", world_from_camera), ("depth", depth)):
+            object.__setattr__(view, name, value)
+        return view
+
 
 @dataclass(frozen=True, eq=False)
 class LabelledDepth:

@@ -22,8 +22,7 @@ from kit1000.generation.presets import PRESETS
 from kit1000.kits.acceptance import PairCheck
 from kit1000.kits.choice import Attempt, accepted_kit, attempts
 from kit1000.kits.kit import KitDesign, Plate
-from kit1000.pictures import dataset_sheets, previews
-from kit1000.pictures.shading import QUICK, shaded_picture
+from kit1000.pictures import lighting, shading
 from kit1000.values import LabelledDepth, Part
 from tests.samples.checkout import ROOT
 from tests.samples.mini import HIDDEN, HIDDEN_SEED, MINI, Published, fake_scene, publish_by_command
@@ -192,13 +191,11 @@ def fake_scenes(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def quick_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pictures and contact sheets have as few samples and lamps as a preview; what they show stays."""
-
-    def quick(*arguments: Any, **options: Any) -> Any:
-        return shaded_picture(*arguments, **options | {"quality": QUICK})
-
-    monkeypatch.setattr(previews, "shaded_picture", quick)
-    monkeypatch.setattr(dataset_sheets, "shaded_picture", quick)
+    """Pictures have one sample, and few lamps with coarse shadows; what they show stays."""
+    monkeypatch.setattr(shading, "SAMPLES", 1)
+    monkeypatch.setattr(lighting, "KEY_LAMPS", 3)
+    monkeypatch.setattr(lighting, "SKY_LAMPS", 5)
+    monkeypatch.setattr(lighting, "MAP_SIZE", 64)
 
 
 @pytest.fixture(scope="session", params=_folders(), ids=lambda folder: folder.name)

@@ -15,7 +15,6 @@ from kit1000.dataset.tables import FORMAT
 from kit1000.errors import InputError
 from kit1000.files import json_bytes, new_folder, with_checksum, write_bytes, write_json
 from kit1000.perception.sensor_facts import KEY, key_of
-from kit1000.pictures.png_files import png_bytes
 from kit1000.pictures.scene_preview import scene_picture
 from kit1000.queries.pivots import part_pivots
 from kit1000.queries.tracks import query_id
@@ -89,7 +88,7 @@ def _observation(scene_id: str, scene: OwnScene, sensor: str) -> Observation:
         for part, pivot in pivots.items()
     )
     observation = Observation(scene_id, {sensor: scene.image.view}, scene.image.labels, rows)
-    return Observation(scene_id, observation.views, observation.labels, rows, png_bytes(_picture(observation)))
+    return Observation(scene_id, observation.views, observation.labels, rows, _picture(observation))
 
 
 def _picture(observation: Observation) -> Any:

@@ -30,8 +30,8 @@ class Observation:
     """(H, W) uint8 masks of the primary camera, see `kit1000.values.LabelledDepth`."""
     queries: tuple[Row, ...] = ()
     """Rows {"id", "track", "sensor", "part", "drawn", "pivot": [3], "guess": pose or null}."""
-    preview: bytes | None = None
-    """A small PNG for viewers, drawn from the rest of the observation; see `kit1000.pictures.scene_preview`."""
+    preview: np.ndarray | None = None
+    """(h, w, 3) uint8 sRGB, a small picture for viewers, which `kit1000.pictures.scene_preview` draws from the rest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ class SceneTruth:
     """(n,) world_from_part of every goal of the scene's target, for viewers."""
     crowded: bool = False
     """Whether the parts are pushed together."""
-    preview: bytes | None = None
-    """A small PNG for viewers: the preview of the observation, with the target at its goals."""
+    preview: np.ndarray | None = None
+    """(h, w, 3) uint8 sRGB, a small picture for viewers: that of the observation, with the target at its goals."""
     noise_px: Mapping[str, float] = field(default_factory=dict)
     """[px] of disparity: RMS of the noise of the images of the primary camera, by sensor; of those that have noise."""

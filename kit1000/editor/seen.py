@@ -14,7 +14,7 @@ import numpy as np
 from scipy.ndimage import find_objects, median_filter
 
 from kit1000.mesh import Mesh
-from kit1000.pictures.depth_shading import CELL, relief_light
+from kit1000.pictures.depth_images import surface_light
 from kit1000.pictures.shading import KIT, part_colour
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, View
 
@@ -102,19 +102,18 @@ def observed(part: Mesh) -> np.ndarray:
 
 
 def coloured_points(image: LabelledDepth) -> dict[int, ColouredPoints]:
-    """An image as points in soft light, one for each CELL x CELL pixels, by label of the masks; without the table."""
+    """An image as points in soft light, one for STRIDE x STRIDE pixels, by label of the masks, without the table."""
     view, labels = image.view, image.labels
-    light = relief_light(view.camera, view.depth, labels)
-    rows, columns = (CELL * np.arange(size) for size in light.shape)
-    depth, kinds = view.depth[np.ix_(rows, columns)], labels[np.ix_(rows, columns)]
-    grid = np.stack(np.meshgrid(columns, rows), axis=-1)
-    points = view.world_from_camera.apply(view.camera.unproject_pixels(grid, depth))
+    kept = np.zeros(labels.shape, bool)
+    kept[::STRIDE, ::STRIDE] = ((labels > 0) & (view.depth > 0))[::STRIDE, ::STRIDE]
+    v, u = np.nonzero(kept)
+    light, kinds = surface_light(view.camera, view.depth, kept), labels[v, u]
+    points = view.world_from_camera.apply(view.camera.unproject_pixels(np.stack([u, v], axis=-1), view.depth[v, u]))
     clouds = {}
-    for label in np.unique(kinds[kinds > 0]).tolist():
-        mask = (kinds == label) & (depth > 0)
-        bright = np.sqrt(np.clip(light[mask], 0, 1))[:, None]  # light is linear, a colour its square root
+    for label in np.unique(kinds).tolist():
+        bright = np.sqrt(np.clip(light[kinds == label], 0, 1))  # light is linear, a colour its square root
         colour = KIT if label == ASSEMBLY_LABEL else part_colour(label - FIRST_PART_LABEL)
-        clouds[label] = ColouredPoints(points[mask], (bright * colour).astype(np.uint8))
+        clouds[label] = ColouredPoints(points[kinds == label], (bright * colour).astype(np.uint8))
     return clouds
 
 

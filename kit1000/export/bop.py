@@ -8,15 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 import numpy as np
-from PIL import Image
 from tqdm import tqdm
 
 from kit1000.camera import Camera
+from kit1000.dataset.png_files import png_bytes
 from kit1000.errors import InputError
 from kit1000.export.bop_models import ASSEMBLY, KINDS, MM, PART, model_info, object_numbers, ply_bytes
 from kit1000.files import json_bytes, new_folder
@@ -280,13 +279,6 @@ def _dataset_info(
         "objects": objects,
         "scenes": {name: {str(number): scene for number, scene in numbered} for name, numbered in scenes.items()},
     }
-
-
-def png_bytes(image: np.ndarray) -> bytes:
-    """An image (H, W) of uint8 or uint16 as PNG of one channel."""
-    file = BytesIO()
-    Image.fromarray(image).save(file, "PNG")
-    return file.getvalue()
 
 
 def _write_json(path: Path, entry: Any) -> None:

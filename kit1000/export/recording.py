@@ -23,7 +23,7 @@ from kit1000.dataset.mcap_io.messages import (
     points_message,
     poses_message,
 )
-from kit1000.dataset.mcap_io.pictures import PictureWriter
+from kit1000.dataset.mcap_io.writing import PictureWriter
 from kit1000.dataset.mesh_files import glb_bytes
 from kit1000.errors import InputError, did_you_mean
 from kit1000.mesh import Mesh

@@ -10,7 +10,7 @@ import json
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from kit1000.generation.card import (
+from kit1000.generation.readme import (
     ABOUT,
     BIASES,
     COLLECTION,
@@ -27,7 +27,7 @@ from kit1000.generation.card import (
 )
 from kit1000.queries.tracks import SPLITS
 
-PUBLISHED = "2026-11-26"  # date of the current data version: a constant, so that the bytes do not depend on the day
+PUBLISHED = "2026-11-28"  # date of the current data version: a constant, so that the bytes do not depend on the day
 CONFORMS = ["http://mlcommons.org/croissant/1.1", "http://mlcommons.org/croissant/RAI/1.0"]
 LICENCES = {"CC-BY-4.0": "https://creativecommons.org/licenses/by/4.0/"}
 FORMATS = {"json": "application/json", "glb": "model/gltf-binary", "mcap": "application/x-mcap"}

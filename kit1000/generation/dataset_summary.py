@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import platform
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from kit1000.dataset.schema import LICENCE
 from kit1000.dataset.tables import FORMAT, Row
 from kit1000.files import json_bytes, with_checksum
-from kit1000.generation.card import card_bytes
-from kit1000.generation.card_statistics import add_up, part_statistics
 from kit1000.generation.croissant import croissant_bytes
-from kit1000.generation.library_versions import RECORD, library_versions
 from kit1000.generation.parts_and_kits import Record
 from kit1000.generation.plan import DATA_VERSION, dataset_id
+from kit1000.generation.readme import readme_bytes
+from kit1000.generation.statistics import add_up, part_statistics
 from kit1000.queries.tracks import SPLITS
+from kit1000.version import __version__
+
+LIBRARIES = ("manifold3d", "mcap", "numba", "numpy", "pybullet", "scipy", "zstandard")  # that decide the bytes
+MADE_WITH = "made_with"  # entry of dataset.json: the versions of libraries
+ABSENT = "absent"
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,13 +90,24 @@ def make_summary(plan: dict[str, Any], records: JobRecords, written: Mapping[str
             f"{shard_id}.mcap": record["scenes"] for shard_id, record in records.shards.items() if record["scenes"]
         },
         "files": records.files | dict(written),
-        RECORD: library_versions(),
+        MADE_WITH: library_versions(),
     } | untried
+
+
+def library_versions() -> dict[str, str]:
+    """Versions of LIBRARIES by name, and of kit1000 and Python."""
+    found = {"kit1000": __version__, "python": platform.python_version()}
+    for name in LIBRARIES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = ABSENT
+    return found
 
 
 def description_files(summary: dict[str, Any]) -> dict[str, bytes]:
     """The data card and the Croissant description, as bytes by file name."""
-    return {"README.md": card_bytes(summary), "croissant.json": croissant_bytes(summary)}
+    return {"README.md": readme_bytes(summary), "croissant.json": croissant_bytes(summary)}
 
 
 def summary_bytes(summary: Mapping[str, Any]) -> bytes:
@@ -98,8 +115,8 @@ def summary_bytes(summary: Mapping[str, Any]) -> bytes:
 
     Versions of libraries have a checksum of their own: they are no part of what tells copies of a dataset apart.
     """
-    plain = {key: value for key, value in summary.items() if key not in ("checksum", RECORD)}
-    made = {RECORD: with_checksum(summary[RECORD])} if RECORD in summary else {}
+    plain = {key: value for key, value in summary.items() if key not in ("checksum", MADE_WITH)}
+    made = {MADE_WITH: with_checksum(summary[MADE_WITH])} if MADE_WITH in summary else {}
     return json_bytes(with_checksum(plain) | made)
 
 

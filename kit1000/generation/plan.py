@@ -27,8 +27,10 @@ from kit1000.rng import stream
 from kit1000.sim.layout import UPRIGHT, draw_rest_modes
 
 FORMAT = "kit1000-plan/2"
-DATA_VERSION = "2.0.0"
-"""Increased whenever the same plan gives other data."""
+CONTENT_VERSION = "2.0.0"
+"""Increased whenever the same plan gives other content. Each plan states it, so the id of a dataset depends on it."""
+DATA_VERSION = "2.1.0"
+"""Increased also if only the bytes of files change. `dataset.json` states it."""
 MAX_SOURCE_FILES = 10  # of one part: the next file is tried when one cannot be a part
 MAX_CANDIDATES = 48  # parts tried to reach the drawn number of kits; more are tried only to reach the smallest number
 
@@ -75,7 +77,7 @@ def make_plan(preset: Preset, seed: int, sources: Sources | None = None) -> dict
     origin = {} if sources is None else {"unit": sources.unit}
     return origin | {
         "format": FORMAT,
-        "data_version": DATA_VERSION,
+        "data_version": CONTENT_VERSION,
         "preset": preset.name,
         "seed": seed,
         "config": preset.config,
@@ -87,7 +89,7 @@ def make_plan(preset: Preset, seed: int, sources: Sources | None = None) -> dict
 
 
 def dataset_id(plan: dict[str, Any]) -> str:
-    """The id of a dataset: 16 hex digits of the SHA-256 of its plan, which contains the data version."""
+    """The id of a dataset: 16 hex digits of the SHA-256 of its plan, which states the version of its content."""
     return hashlib.sha256(json_bytes(plan)).hexdigest()[:16]
 
 

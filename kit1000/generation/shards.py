@@ -17,11 +17,11 @@ from kit1000.dataset.mcap_io import ObservationWriter, TruthWriter
 from kit1000.dataset.schema import SCENES_PER_SHARD
 from kit1000.errors import Redraw
 from kit1000.generation.assemblies import read_assembly
-from kit1000.generation.card_statistics import add_up, scene_statistics
 from kit1000.generation.parts_and_kits import Record, finished_record, save_record
 from kit1000.generation.plan import scene_id_of
 from kit1000.generation.presets import Preset
 from kit1000.generation.scenes import make_scene
+from kit1000.generation.statistics import add_up, scene_statistics
 
 OBSERVATIONS, TRUTH, EXTRA_VIEWS = ".mcap", ".truth.mcap", ".three.mcap"  # file name endings
 SPLITS_WITH_EXTRA_VIEWS = ("test",)  # splits that store the camera set `three`

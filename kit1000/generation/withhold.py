@@ -27,7 +27,6 @@ from kit1000.files import check_writable, json_bytes, locked, read_json, sha256,
 from kit1000.generation.dataset_summary import description_files, summary_bytes
 from kit1000.generation.presets import Preset
 from kit1000.generation.shards import EXTRA_VIEWS, OBSERVATIONS
-from kit1000.pictures.png_files import png_bytes
 from kit1000.pictures.scene_preview import scene_picture
 from kit1000.rng import MIN_SECRET_ROOT, ROOT_LIMIT
 
@@ -160,7 +159,7 @@ def _with_sensors(observation: Observation, sensors: set[str]) -> Observation:
     """An observation without the views of other sensors, its preview drawn from the rest."""
     views = {key: view for key, view in observation.views.items() if key.rpartition("/")[2] in sensors}
     seen = replace(observation, views=views, preview=None)
-    return seen if observation.preview is None else replace(seen, preview=png_bytes(scene_picture(seen)))
+    return seen if observation.preview is None else replace(seen, preview=scene_picture(seen))
 
 
 def _secret(full: Path, summary: dict[str, Any], tables: dict[str, Any]) -> dict[str, Any]:

@@ -21,7 +21,6 @@ from kit1000.errors import InputError
 from kit1000.labelling.known_kits import KITS, KnownKits
 from kit1000.labelling.label_records import LabelRecord
 from kit1000.labelling.real_queries import real_queries
-from kit1000.pictures.png_files import png_bytes
 from kit1000.pictures.scene_preview import scene_picture, with_previews
 from kit1000.pose import Pose
 from kit1000.queries.pivots import part_pivots
@@ -97,7 +96,7 @@ def labelled_scene(
     )
     seen = replace(observation, labels=labels, queries=tuple(queries), preview=None)
     if target is None:
-        return replace(seen, preview=png_bytes(scene_picture(seen))), truth
+        return replace(seen, preview=scene_picture(seen)), truth
     return with_previews(seen, truth, target.part.mesh)
 
 

@@ -1,17 +1,26 @@
-"""Depth images and masks as colour pictures: colour encodes the distance, shading the shape, and holes are dark."""
+"""Pictures of depth images and masks: colour encodes the distance or the body, light shows the shape, holes are dark.
+
+The light is that of the pictures of meshes (`kit1000.pictures.lighting`), without shadows. Everything is computed by
+sums, products, quotients and square roots: a picture has the same bytes on every processor.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
+from kit1000.camera import Camera
+from kit1000.pictures.creases import draw_lines
+from kit1000.pictures.lighting import open_light
 from kit1000.pictures.shading import INK, KIT, TABLE, Colour, part_colour
-from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, View
+from kit1000.values import FIRST_PART_LABEL, LabelledDepth, View
 
 NEAR_COLOUR: Colour = (250, 214, 120)
 MIDDLE_COLOUR: Colour = (76, 148, 150)
 FAR_COLOUR: Colour = (46, 52, 110)
-LIGHT_DIRECTION = np.array((-0.5, -0.6, -0.62))  # towards the light, in the camera frame: at the upper left
-MAX_SLOPE = 8.0  # steeper surfaces, such as the steps between bodies, are shaded like this one
+KEY = np.array((-0.55, -0.62, -0.56))  # towards the light, in the camera frame: from the upper left
+UP = np.array((0.0, -0.6, -0.8))  # towards the sky, in the frame of a camera that looks down at 53 degrees
+REACH = 2  # [px] from a pixel to those that determine its normal: steps of the depth grid matter less
+LINE_STEP = 0.004  # [m] departure from a plane beyond which a line is drawn
 
 
 def depth_picture(view: View) -> np.ndarray:
@@ -24,27 +33,77 @@ def depth_picture(view: View) -> np.ndarray:
     share = np.clip((depth - near) / max(far - near, 1e-6), 0, 1)[..., None]
     first, last = np.minimum(2 * share, 1), np.maximum(2 * share - 1, 0)
     ramp = np.array(NEAR_COLOUR) * (1 - first) + np.array(MIDDLE_COLOUR) * (first - last) + np.array(FAR_COLOUR) * last
-    picture = ramp * _relief_shading(view)[..., None]
-    return np.where(valid[..., None], np.clip(picture, 0, 255), INK).astype(np.uint8)
+    light = np.square(ramp)
+    light[valid] *= surface_light(view.camera, depth, valid)
+    return colours_of(light, valid)
 
 
-def mask_picture(image: LabelledDepth) -> np.ndarray:
-    """The masks of the kits and of each part in colour, shaded. (H, W, 3) uint8 sRGB."""
-    colours = np.full((256, 3), TABLE, float)
-    colours[ASSEMBLY_LABEL] = np.array(KIT) * 0.8
-    for i in range(256 - FIRST_PART_LABEL):
-        colours[FIRST_PART_LABEL + i] = part_colour(i)
-    picture = colours[image.labels] * _relief_shading(image.view)[..., None]
-    return np.where((image.view.depth > 0)[..., None], np.clip(picture, 0, 255), INK).astype(np.uint8)
+def mask_picture(image: LabelledDepth, table: Colour = TABLE) -> np.ndarray:
+    """The masks of the kits and of each part in colour, lit, with lines around bodies. (H, W, 3) uint8 sRGB."""
+    whole = (slice(None), slice(None))
+    return colours_of(mask_light(image.view, image.labels, table, whole), image.view.depth > 0)
 
 
-def _relief_shading(view: View) -> np.ndarray:
-    """(H, W) brightness 0.25 .. 1.1 of the surface under one light, from differences of neighbouring depths."""
-    depth = np.where(view.depth > 0, view.depth, np.nan).astype(np.float64)
-    pixel = depth / view.camera.fx  # [m] width of a pixel at that distance
-    with np.errstate(invalid="ignore", divide="ignore"):
-        along_u = np.clip(np.gradient(depth, axis=1) / pixel, -MAX_SLOPE, MAX_SLOPE)
-        along_v = np.clip(np.gradient(depth, axis=0) / pixel, -MAX_SLOPE, MAX_SLOPE)
-    normal = np.stack([along_u, along_v, -np.ones_like(depth)], axis=-1)
-    lit = normal @ LIGHT_DIRECTION / np.linalg.norm(normal, axis=-1)
-    return np.nan_to_num(0.45 + 0.65 * np.clip(lit, -0.3, 1), nan=0.45)
+def mask_light(view: View, labels: np.ndarray, table: Colour, window: tuple[slice, slice]) -> np.ndarray:
+    """(h, w, 3) float32 light of a picture of masks, as `colours_of` expects it; the table is unlit.
+
+    Args:
+        view: the depth image (H, W).
+        labels: (H, W) uint8 masks.
+        table: colour of the table.
+        window: rows and columns of the image that the picture shows.
+    """
+    parts = (part_colour(part) for part in range(256 - FIRST_PART_LABEL))
+    squares = np.square([table, KIT, *parts]).astype(np.float32)
+    depth, kinds = view.depth[window], labels[window]
+    picture, bodies = squares[kinds], kinds > 0
+    inside = np.zeros(labels.shape, bool)
+    inside[window] = bodies
+    picture[bodies] *= surface_light(view.camera, view.depth, inside)
+    faces, zeros = np.zeros(kinds.shape, np.int32), np.zeros(256, np.int32)
+    draw_lines(depth, kinds.astype(np.int32) + 1, faces, zeros, zeros, squares, LINE_STEP, picture)
+    return picture
+
+
+def colours_of(light: np.ndarray, valid: np.ndarray, nothing: Colour = INK) -> np.ndarray:
+    """(H, W, 3) uint8 sRGB of light in squares of 0 .. 255; `nothing` where valid (H, W) is false."""
+    colours = np.sqrt(np.clip(light, 0, 255 * 255)) + 0.5
+    return np.where(valid[..., None], colours, np.array(nothing)).astype(np.uint8)
+
+
+def surface_light(camera: Camera, depth: np.ndarray, where: np.ndarray) -> np.ndarray:
+    """(n, 3) the light on a surface that nothing shades, about 1 on a level one, at the pixels of a mask.
+
+    It is 1 at pixels without return, and at those whose neighbours determine no normal.
+
+    Args:
+        camera: the intrinsics.
+        depth: (H, W) [m], 0 for no return.
+        where: (H, W) bool, true at n pixels.
+    """
+    return np.nan_to_num(open_light(surface_normals(camera, depth, where), KEY, UP), nan=1.0)
+
+
+def surface_normals(camera: Camera, depth: np.ndarray, where: np.ndarray) -> np.ndarray:
+    """(n, 3) unit normals towards the camera in its frame, with the arguments of `surface_light`; nan for unknown ones.
+
+    A pixel takes the flatter of the surfaces on its two sides, so that edges stay sharp. On a plane the inverse depth
+    is linear: it is m . ((u - cx) / fx, (v - cy) / fy, 1) for a vector m along the normal.
+    """
+    padded = np.full(np.add(depth.shape, 2 * REACH), np.nan)
+    np.divide(1.0, depth, out=padded[REACH:-REACH, REACH:-REACH], where=depth > 0)
+    row, values = padded.shape[1], padded.ravel()
+    v, u = np.divmod(np.flatnonzero(where), where.shape[1])
+    place = (v + REACH) * row + u + REACH
+    here = values[place]
+    down = _flatter(here - values[place - REACH * row], values[place + REACH * row] - here)
+    across = _flatter(here - values[place - REACH], values[place + REACH] - here)
+    forward = here - across * (u - camera.cx) - down * (v - camera.cy)
+    normals = np.stack([across * camera.fx, down * camera.fy, forward], axis=-1)
+    squares = normals * normals
+    return -normals / np.sqrt(squares[:, 0] + squares[:, 1] + squares[:, 2])[:, None]
+
+
+def _flatter(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """(n,) the smaller of two differences over REACH pixels, as a slope; the other one if one is nan."""
+    return np.where((np.abs(after) < np.abs(before)) | np.isnan(before), after, before) / REACH

@@ -12,19 +12,22 @@ from typing import NamedTuple
 import numpy as np
 
 from kit1000.numerics.compiled import compiled
-from kit1000.pictures.shadow_maps import shadow_maps
 from kit1000.pose import Pose, quaternion_between
 
-MAP_SIZE = 512  # [px] side of a shadow map, unless another is asked for
+KEY_LAMPS, SKY_LAMPS = 24, 40  # samples of the key light and of the sky
+MAP_SIZE = 384  # [px] side of a shadow map
+MAP_SLACK = 1e-6  # [px] by which a triangle is widened in a shadow map, so that no pixel between two is lost
 LAMP_DISTANCE = 1000.0  # in radii of the scene: rays are parallel to a quarter of a texel
 KEY_SPREAD = 0.16  # sine of the half angle of the key light: its shadows are soft but have a shape
 KEY_COLOUR = (0.62, 0.60, 0.56)  # warm; with the sky, a level surface has its own colour, slightly lighter
 SKY_COLOUR = (0.48, 0.50, 0.53)  # cool
 BOUNCE_COLOUR = (0.21, 0.205, 0.20)  # light reflected by the ground from below
+COLOURS = np.array((KEY_COLOUR, SKY_COLOUR, BOUNCE_COLOUR))
 GLOSS = 0.07  # satin plastic
+GROUND_SHADOW = 0.75  # darkening of a ground point that no light reaches
+GROUND_STEP = 4  # [px] between the pixels at which the light on the ground is computed; it is interpolated between them
 FADE_BORDER = 0.08  # fraction of the image along its border in which shadows on the ground fade out
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
-HEIGHTS, AZIMUTHS = 65, 8  # normals at which the light of the sky without shadows is tabled, and averaged over
 
 
 class Lamps(NamedTuple):
@@ -37,14 +40,10 @@ class Lamps(NamedTuple):
     map_from_world: np.ndarray
     """(L, 3, 4): from a point (x, y, z, 1) to column, row [px] and depth [m] in a shadow map."""
     shadow_maps: np.ndarray
-    """(L, S, S) float32 [m] depth from the lamp, 0 for no surface."""
+    """(L, MAP_SIZE, MAP_SIZE) float32 [m] depth of the nearest surface from the lamp, 0 for none."""
     texel: float
     """[m] width of a pixel of a shadow map at the scene."""
     key_count: int
-    open_key: np.ndarray
-    """(3,) whose product with a normal is the key light there without shadows."""
-    open_sky: np.ndarray
-    """(h,) light of the sky without shadows, at normals of heights -1 .. 1."""
 
 
 class ShadingScene(NamedTuple):
@@ -62,46 +61,54 @@ class ShadingScene(NamedTuple):
     """(b, 3) linear colour of each body."""
 
 
-def key_directions(n: int, towards: np.ndarray) -> np.ndarray:
-    """(n, 3) unit vectors distributed evenly over the round key light in the direction `towards` (3,)."""
-    count = np.arange(n)
-    radius, angle = KEY_SPREAD * np.sqrt((count + 0.5) / n), GOLDEN_ANGLE * count
+def open_light(normals: np.ndarray, key: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """(..., 3) the light on surfaces of some unit normals (..., 3) that nothing shades.
+
+    key, up: (3,) unit vectors to the key light, and up. Only sums, products and quotients are computed: equal numbers
+    on every processor.
+    """
+    towards_key, height = (sum(normals[..., i] * float(direction[i]) for i in range(3)) for direction in (key, up))
+    share = np.maximum(towards_key, 0) / float(sum(a * b for a, b in zip(key, up, strict=True)))
+    terms = (share, (1 + height) / 2, (1 - height) / 2)
+    return sum(term[..., None] * colour for term, colour in zip(terms, COLOURS, strict=True))
+
+
+def place_lamps(corners: np.ndarray, centre: np.ndarray, radius: float, towards: np.ndarray) -> Lamps:
+    """Lamps for triangles (m, 3, 3) within a ball [m]; the key light is in the direction `towards` (3,)."""
+    texel = 2 * radius / (MAP_SIZE - 4)
+    key, sky = _key_directions(towards), _sky_directions()
+    directions = np.concatenate([key, sky])
+    map_from_world = _parallel_projections(directions, centre, LAMP_DISTANCE * radius)
+    map_from_world[:, :2] /= texel
+    map_from_world[:, :2, 3] += (MAP_SIZE - 1) / 2
+    weights = np.concatenate([np.full(len(key), 1 / key[:, 2].sum()), np.full(len(sky), 1 / sky[:, 2].sum())])
+    return Lamps(directions, weights, map_from_world, shadow_maps(corners, map_from_world, MAP_SIZE), texel, len(key))
+
+
+def shadow_maps(corners: np.ndarray, map_from_world: np.ndarray, size: int) -> np.ndarray:
+    """(L, size, size) float32 [m] depth of the nearest of triangles (m, 3, 3), 0 where there is none.
+
+    map_from_world: (L, 3, 4) of each lamp, from a point (x, y, z, 1) to column, row [px] and depth [m].
+    """
+    maps = np.zeros((len(map_from_world), size, size), np.float32)
+    _fill(np.ascontiguousarray(corners), np.ascontiguousarray(map_from_world), maps)
+    return maps
+
+
+def _key_directions(towards: np.ndarray) -> np.ndarray:
+    """(KEY_LAMPS, 3) unit vectors distributed evenly over the round key light in the direction `towards` (3,)."""
+    count = np.arange(KEY_LAMPS)
+    radius, angle = KEY_SPREAD * np.sqrt((count + 0.5) / KEY_LAMPS), GOLDEN_ANGLE * count
     disc = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1 - radius**2)], axis=1)
     return Pose(quaternion_between(np.array((0.0, 0.0, 1.0)), towards), np.zeros(3)).rotate(disc)
 
 
-def sky_directions(n: int) -> np.ndarray:
-    """(n, 3) unit vectors distributed evenly over the sky above 6 degrees (a Fibonacci spiral)."""
-    count = np.arange(n)
-    z, angle = 0.1 + 0.9 * (count + 0.5) / n, GOLDEN_ANGLE * count
+def _sky_directions() -> np.ndarray:
+    """(SKY_LAMPS, 3) unit vectors distributed evenly over the sky above 6 degrees (a Fibonacci spiral)."""
+    count = np.arange(SKY_LAMPS)
+    z, angle = 0.1 + 0.9 * (count + 0.5) / SKY_LAMPS, GOLDEN_ANGLE * count
     radius = np.sqrt(1 - z**2)
     return np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)
-
-
-def place_lamps(
-    corners: np.ndarray, ball: tuple[np.ndarray, float], key: np.ndarray, sky: np.ndarray, map_size: int = MAP_SIZE
-) -> Lamps:
-    """Lamps in directions key (k, 3) and sky (s, 3) for triangles (m, 3, 3) within `ball`: centre (3,), radius [m].
-
-    map_size: [px] side of a shadow map.
-    """
-    centre, radius = ball
-    texel = 2 * radius / (map_size - 4)
-    directions = np.concatenate([key, sky])
-    map_from_world = _parallel_projections(directions, centre, LAMP_DISTANCE * radius)
-    map_from_world[:, :2] /= texel
-    map_from_world[:, :2, 3] += (map_size - 1) / 2
-    weights = np.concatenate([np.full(len(key), 1 / key[:, 2].sum()), np.full(len(sky), 1 / sky[:, 2].sum())])
-    maps = shadow_maps(corners, map_from_world, map_size)
-    return Lamps(directions, weights, map_from_world, maps, texel, len(key), key.sum(0) / key[:, 2].sum(), _open(sky))
-
-
-def _open(sky: np.ndarray) -> np.ndarray:
-    """(HEIGHTS,) light of a sky (s, 3) without shadows, at normals of heights -1 .. 1, a mean over their azimuths."""
-    height, azimuth = np.linspace(-1, 1, HEIGHTS)[:, None], np.arange(AZIMUTHS) * (2 * np.pi / AZIMUTHS)
-    level = np.sqrt(1 - height**2)
-    normals = np.stack(np.broadcast_arrays(level * np.cos(azimuth), level * np.sin(azimuth), height), axis=-1)
-    return np.maximum(normals @ sky.T, 0).sum(2).mean(1) / sky[:, 2].sum()
 
 
 def _parallel_projections(directions: np.ndarray, centre: np.ndarray, distance: float) -> np.ndarray:
@@ -121,61 +128,102 @@ def _parallel_projections(directions: np.ndarray, centre: np.ndarray, distance: 
 
 
 @compiled
-def illuminate(intrinsics, rotation, eye, image, scene, lamps, turn, ground, background, shadow, drawn, colours, out):
-    """Write the linear colour of each pixel to `out` (H, W, 3).
-
-    `rotation` (3, 3) and `eye` (3,) are world_from_camera; `image` is the depth, body ids and face ids; `turn` is which
-    of how many groups of lamps casts the shadows of the first pixel, its neighbours take the next groups in turn;
-    `ground` is the height [m] of a floor of the colour `background`, which shadows darken by up to `shadow`; NaN for no
-    floor. `drawn` is whether `out` holds the floor already. `colours` (3, 3): of the key light, the sky and the light
-    from below.
-    """
-    depth, ids, faces = image
-    start, groups = turn
-    point, normal, face_normal, view = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    for group in range(groups):  # outermost, so that its shadow maps stay in the cache
-        for v in range(depth.shape[0]):
-            for u in range((group - start - 2 * v) % groups, depth.shape[1], groups):
-                body = ids[v, u] - 1
-                if body < 0 and drawn:
-                    continue
-                _set_view(intrinsics, rotation, u, v, view)
-                if body < 0:
-                    fade = shadow * _fade(intrinsics, u, v)
-                    _set_floor(eye, view, lamps, ground, background, fade, colours, point, normal, out, v, u)
-                    continue
+def _fill(corners, map_from_world, maps):
+    height, width = maps.shape[1], maps.shape[2]
+    u, v, w = np.empty(3), np.empty(3), np.empty(3)
+    for k in range(maps.shape[0]):
+        for t in range(corners.shape[0]):
+            for i in range(3):
+                x, y, z = corners[t, i, 0], corners[t, i, 1], corners[t, i, 2]
+                m = map_from_world
+                u[i] = m[k, 0, 0] * x + m[k, 0, 1] * y + m[k, 0, 2] * z + m[k, 0, 3]
+                v[i] = m[k, 1, 0] * x + m[k, 1, 1] * y + m[k, 1, 2] * z + m[k, 1, 3]
+                w[i] = m[k, 2, 0] * x + m[k, 2, 1] * y + m[k, 2, 2] * z + m[k, 2, 3]
+            top = max(np.ceil(min(v[0], v[1], v[2]) - MAP_SLACK), 0.0)
+            bottom = min(np.floor(max(v[0], v[1], v[2]) + MAP_SLACK), height - 1.0)
+            if top > bottom:
+                continue
+            area = (u[1] - u[0]) * (v[2] - v[0]) - (u[2] - u[0]) * (v[1] - v[0])
+            if area == 0.0:
+                continue
+            along = ((w[1] - w[0]) * (v[2] - v[0]) - (w[2] - w[0]) * (v[1] - v[0])) / area
+            down = ((u[1] - u[0]) * (w[2] - w[0]) - (u[2] - u[0]) * (w[1] - w[0])) / area
+            nearest, farthest = min(w[0], w[1], w[2]), max(w[0], w[1], w[2])
+            for row in range(int(top), int(bottom) + 1):
+                left, right = np.inf, -np.inf
                 for i in range(3):
-                    point[i] = eye[i] + depth[v, u] * view[i]
-                _set_normals(scene, scene.first_face[body] + faces[v, u], view, point, normal, face_normal)
-                key, sky, gloss, open_sky = _incident_light(lamps, group, groups, point, normal, face_normal, view)
-                below = (0.5 - 0.5 * normal[2]) * (0.4 + 0.6 * sky / max(open_sky, 0.05))
-                for i in range(3):
-                    light = key * colours[0, i] + sky * colours[1, i] + below * colours[2, i]
-                    out[v, u, i] = scene.albedo[body, i] * light + gloss * colours[0, i]
+                    j = (i + 1) % 3
+                    if min(v[i], v[j]) <= row + MAP_SLACK and max(v[i], v[j]) >= row - MAP_SLACK:
+                        across = u[j] - u[i]
+                        share = 0.0
+                        if v[i] != v[j]:
+                            share = min(max((row - v[i]) / (v[j] - v[i]), 0.0), 1.0)
+                        else:
+                            left, right = min(left, u[j]), max(right, u[j])
+                        left, right = min(left, u[i] + share * across), max(right, u[i] + share * across)
+                first, last = max(np.ceil(left - MAP_SLACK), 0.0), min(np.floor(right + MAP_SLACK), width - 1.0)
+                if first > last:
+                    continue
+                base = w[0] + down * (row - v[0]) - along * u[0]
+                for column in range(int(first), int(last) + 1):
+                    depth = min(max(base + along * column, nearest), farthest)
+                    if maps[k, row, column] == 0 or depth < maps[k, row, column]:
+                        maps[k, row, column] = depth
 
 
 @compiled
-def draw_floor(intrinsics, rotation, eye, lamps, ground, background, shadow, colours, step, out):
-    """Write the linear colour of the floor to `out` (H, W, 3), interpolated between every step-th pixel.
+def illuminate(intrinsics, rotation, eye, image, scene, lamps, first, step, out):
+    """Write the linear colour of each pixel of a body to `out` (H, W, 3).
 
-    Arguments as of `illuminate`.
+    `rotation` (3, 3) and `eye` (3,) are world_from_camera; `image` is the depth, body ids and face ids; the light is
+    that of every `step`-th lamp, from the lamp `first` on.
     """
-    point, normal, view = np.empty(3), np.empty(3), np.empty(3)
-    floor = np.empty((out.shape[0] // step + 2, out.shape[1] // step + 2, 3), np.float32)
-    for v in range(floor.shape[0]):
-        for u in range(floor.shape[1]):
-            _set_view(intrinsics, rotation, u * step, v * step, view)
-            fade = shadow * _fade(intrinsics, u * step, v * step)
-            _set_floor(eye, view, lamps, ground, background, fade, colours, point, normal, floor, v, u)
+    depth, ids, faces = image
+    point, normal, face_normal, view = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    for v in range(depth.shape[0]):
+        for u in range(depth.shape[1]):
+            body = ids[v, u] - 1
+            if body < 0:
+                continue
+            _set_view(intrinsics, rotation, u, v, view)
+            for i in range(3):
+                point[i] = eye[i] + depth[v, u] * view[i]
+            _set_normals(scene, scene.first_face[body] + faces[v, u], view, point, normal, face_normal)
+            key, sky, gloss, open_sky = _incident_light(lamps, first, step, point, normal, face_normal, view)
+            below = (0.5 - 0.5 * normal[2]) * (0.4 + 0.6 * sky / max(open_sky, 0.05))
+            for i in range(3):
+                light = key * COLOURS[0, i] + sky * COLOURS[1, i] + below * COLOURS[2, i]
+                out[v, u, i] = scene.albedo[body, i] * light + gloss * COLOURS[0, i]
+
+
+@compiled
+def draw_ground(intrinsics, rotation, eye, lamps, height, background, out):
+    """Write the linear colour of the ground at a height [m] to `out` (H, W, 3), of a colour (3,) without shadows.
+
+    `rotation` (3, 3) and `eye` (3,) are world_from_camera. A camera below the ground sees the colour alone.
+    """
+    point, normal, view = np.empty(3), np.array((0.0, 0.0, 1.0)), np.empty(3)
+    grid = np.empty((out.shape[0] // GROUND_STEP + 2, out.shape[1] // GROUND_STEP + 2, 3))
+    for v in range(grid.shape[0]):
+        for u in range(grid.shape[1]):
+            _set_view(intrinsics, rotation, u * GROUND_STEP, v * GROUND_STEP, view)
+            grid[v, u] = background
+            if not (view[2] < 0 and eye[2] > height):
+                continue
+            for i in range(3):
+                point[i] = eye[i] + (height - eye[2]) / view[2] * view[i]
+            key, sky, _, _ = _incident_light(lamps, 0, 1, point, normal, normal, view)
+            shadow = GROUND_SHADOW * _fade(intrinsics, u * GROUND_STEP, v * GROUND_STEP)
+            for i in range(3):
+                lit = (key * COLOURS[0, i] + sky * COLOURS[1, i]) / (COLOURS[0, i] + COLOURS[1, i])
+                grid[v, u, i] *= 1 - shadow * (1 - lit)
     for v in range(out.shape[0]):
-        i = v // step
-        down = v / step - i
+        i, down = v // GROUND_STEP, v % GROUND_STEP / GROUND_STEP
         for u in range(out.shape[1]):
-            j = u // step
-            along = u / step - j
+            j, along = u // GROUND_STEP, u % GROUND_STEP / GROUND_STEP
             for c in range(3):
-                upper = floor[i, j, c] + along * (floor[i, j + 1, c] - floor[i, j, c])
-                lower = floor[i + 1, j, c] + along * (floor[i + 1, j + 1, c] - floor[i + 1, j, c])
+                upper = grid[i, j, c] + along * (grid[i, j + 1, c] - grid[i, j, c])
+                lower = grid[i + 1, j, c] + along * (grid[i + 1, j + 1, c] - grid[i + 1, j, c])
                 out[v, u, c] = upper + down * (lower - upper)
 
 
@@ -185,23 +233,6 @@ def _set_view(intrinsics, rotation, u, v, view):
     p, q = (u - intrinsics.cx) / intrinsics.fx, (v - intrinsics.cy) / intrinsics.fy
     for i in range(3):
         view[i] = rotation[i, 0] * p + rotation[i, 1] * q + rotation[i, 2]
-
-
-@compiled
-def _set_floor(eye, view, lamps, ground, background, shadow, colours, point, normal, out, v, u):
-    """Write the colour of the floor in a direction to a pixel; the background's where there is none."""
-    for i in range(3):
-        out[v, u, i] = background[i]
-    if not (view[2] < 0 and eye[2] > ground):
-        return
-    for i in range(3):
-        point[i] = eye[i] + (ground - eye[2]) / view[2] * view[i]
-        normal[i] = 0.0
-    normal[2] = 1.0
-    key, sky, _, _ = _incident_light(lamps, 0, 1, point, normal, normal, view)
-    for i in range(3):
-        share = (key * colours[0, i] + sky * colours[1, i]) / (colours[0, i] + colours[1, i])
-        out[v, u, i] = background[i] * (1 - shadow * (1 - share))
 
 
 @compiled
@@ -239,14 +270,14 @@ def _set_normals(scene, face, view, point, normal, face_normal):
 
 
 @compiled
-def _incident_light(lamps, group, groups, point, normal, face_normal, view):
+def _incident_light(lamps, first, step, point, normal, face_normal, view):
     """Key light and sky light at a point, the reflection of the key light, and the light of the sky without shadows.
 
-    Shadows are looked up for every lamp of one of the groups, in turns; they stand for those of all lamps.
+    All are of every `step`-th lamp, from the lamp `first` on, times `step`.
     """
     # all by single numbers: slices are counted references
-    directions, weights, maps, shadow_maps, texel, key_count, key_sum, sky_table = lamps
-    lit_key, lit_sky, asked_key, asked_sky = 0.0, 0.0, 0.0, 0.0
+    directions, weights, maps, shadow_maps, texel, key_count = lamps
+    key, open_key, sky, open_sky = 0.0, 0.0, 0.0, 0.0
     nx, ny, nz = normal[0], normal[1], normal[2]
     # An offset from the surface prevents self-shadowing at the resolution of the shadow maps.
     x, y, z = (
@@ -254,8 +285,8 @@ def _incident_light(lamps, group, groups, point, normal, face_normal, view):
         point[1] + 1.5 * texel * face_normal[1],
         point[2] + 1.5 * texel * face_normal[2],
     )
-    for k in range(group, directions.shape[0], groups):
-        share = weights[k] * (nx * directions[k, 0] + ny * directions[k, 1] + nz * directions[k, 2])
+    for k in range(first, directions.shape[0], step):
+        share = step * weights[k] * (nx * directions[k, 0] + ny * directions[k, 1] + nz * directions[k, 2])
         if share <= 0:
             continue
         u = maps[k, 0, 0] * x + maps[k, 0, 1] * y + maps[k, 0, 2] * z + maps[k, 0, 3] + 0.5
@@ -267,17 +298,9 @@ def _incident_light(lamps, group, groups, point, normal, face_normal, view):
             if nearest != 0 and nearest <= depth - 0.5 * texel:
                 lit = 0.0
         if k < key_count:
-            asked_key, lit_key = asked_key + share, lit_key + lit
+            open_key, key = open_key + share, key + lit
         else:
-            asked_sky, lit_sky = asked_sky + share, lit_sky + lit
-    open_key, open_sky = asked_key, asked_sky
-    if groups > 1:
-        open_key = max(nx * key_sum[0] + ny * key_sum[1] + nz * key_sum[2], 0.0)
-        place = (nz + 1) / 2 * (HEIGHTS - 1)
-        below = min(max(int(place), 0), HEIGHTS - 2)
-        open_sky = sky_table[below] + (place - below) * (sky_table[below + 1] - sky_table[below])
-    key = open_key * lit_key / asked_key if asked_key > 0 else 0.0
-    sky = open_sky * lit_sky / asked_sky if asked_sky > 0 else 0.0
+            open_sky, sky = open_sky + share, sky + lit
     gloss = 0.0
     if key > 0:
         gloss = key / open_key * _gloss(directions[0], normal, view)

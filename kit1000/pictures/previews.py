@@ -7,15 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kit1000.dataset.png_files import QUICK_COMPRESSION, png_bytes
 from kit1000.kits.seating import HOVER
-from kit1000.pictures.png_files import QUICK_COMPRESSION, png_bytes
 from kit1000.pictures.shading import (
-    FINE,
     KIT,
     PART,
-    QUICK,
     ColouredBody,
-    Quality,
     contact_sheet,
     framing_camera,
     part_colour,
@@ -47,7 +44,6 @@ def kit_preview(part: Part, kit: Kit) -> bytes:
                 ColouredBody(part.mesh, seated, PART),
             ],
             PREVIEW_SIZE,
-            QUICK,
         )
     )
 
@@ -78,9 +74,9 @@ def contact_sheet_png(tiles: Sequence[np.ndarray | Image.Image], labels: Sequenc
     return _png(contact_sheet(tiles, labels, columns))
 
 
-def _picture(bodies: list[ColouredBody], size: tuple[int, int], quality: Quality = FINE) -> np.ndarray:
+def _picture(bodies: list[ColouredBody], size: tuple[int, int]) -> np.ndarray:
     camera, world_from_camera = framing_camera(bodies, size=size)
-    return shaded_picture(bodies, camera, world_from_camera, quality=quality)
+    return shaded_picture(bodies, camera, world_from_camera)
 
 
 def _png(image: np.ndarray | Image.Image) -> bytes:

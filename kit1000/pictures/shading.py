@@ -7,7 +7,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -17,9 +16,8 @@ from numpy.typing import ArrayLike
 from kit1000.camera import Camera, look_at
 from kit1000.errors import InputError, checked
 from kit1000.mesh import Mesh
-from kit1000.parallel import usable_cores
-from kit1000.pictures import lighting
 from kit1000.pictures.creases import draw_lines, smooth_patches
+from kit1000.pictures.lighting import ShadingScene, draw_ground, illuminate, place_lamps
 from kit1000.pose import Pose
 from kit1000.sim.raster import Intrinsics
 from kit1000.sim.render import render
@@ -44,37 +42,13 @@ SECONDARY: tuple[Colour, ...] = (BLUE, TEAL, SAND, PLUM, MOSS, SLATE)  # the oth
 
 PRODUCT_VIEW = (0.75, -1.0, 0.8)  # from the scene to the camera: from the front right, well above
 OUTLINE_STEP = 0.012  # smallest depth step with an outline, in radii of the scene
-GROUND_SHADOW = 0.75  # darkening of a ground point that no light reaches
+SAMPLES = 4  # images averaged into one, each shifted by a fraction of a pixel, and lit by other lamps
+LEVELS = 1 << 14  # of a linear colour, in the table of its values in sRGB
 
 
 def part_colour(part: int) -> Colour:
     """The colour of the part of this index in a scene."""
     return (PART, *SECONDARY)[part % (1 + len(SECONDARY))]
-
-
-class Quality(NamedTuple):
-    """How much work a picture is."""
-
-    samples: int
-    """Number of images averaged into one, each shifted by a fraction of a pixel."""
-    key_lamps: int
-    """Number of lamps of the key light, in all samples."""
-    sky_lamps: int
-    """Number of lamps of the sky, in all samples."""
-    shared: bool
-    """Whether all samples have all lamps, and neighbouring pixels have the shadows of other lamps; else each sample has
-    lamps of its own."""
-    map_size: int = lighting.MAP_SIZE
-    """[px] Side of a shadow map."""
-
-
-FINE = Quality(16, 48, 112, shared=False)
-# A thirtieth of the work: coarser shadows on the ground, and a grain of single pixels in those on bodies.
-QUICK = Quality(2, 8, 16, shared=True, map_size=256)
-LAMP_GROUPS = 4  # of shared lamps, one for each of four neighbouring pixels
-TURNS = 1  # groups from one sample to the next, so that every pixel has the shadows of several
-FLOOR_STEP = 6  # [px] between those at which shared lamps light the ground
-LEVELS = 1 << 14  # of a colour, in the table of its values in sRGB
 
 
 class ColouredBody(NamedTuple):
@@ -92,7 +66,6 @@ def shaded_picture(
     world_from_camera: Pose,
     background: Colour = PAPER,
     ground: bool = True,
-    quality: Quality = FINE,
 ) -> np.ndarray:
     """Render bodies in soft light. (H, W, 3) uint8 sRGB.
 
@@ -103,36 +76,22 @@ def shaded_picture(
         return np.full((camera.height, camera.width, 3), background, np.uint8)
     meshes = [(body.mesh, body.pose) for body in bodies]
     scene, patches = _shading_scene(bodies)
-    ball = _bounding_ball(scene.corners.reshape(-1, 3))
-    floor = float(scene.corners[..., 2].min()) if ground else np.nan
-    samples = quality.samples
-    key = lighting.key_directions(quality.key_lamps, _key_direction(world_from_camera))
-    sky = lighting.sky_directions(quality.sky_lamps)
-    lit = (floor, _linear(background), GROUND_SHADOW)
-    colours = np.array((lighting.KEY_COLOUR, lighting.SKY_COLOUR, lighting.BOUNCE_COLOUR))
+    centre, radius = _bounding_ball(scene.corners.reshape(-1, 3))
+    lamps = place_lamps(scene.corners, centre, radius, _key_direction(world_from_camera))
     viewer = (world_from_camera.rotation_matrix(), world_from_camera.xyz)
-    turns, shared, floor_image = 1, None, np.empty((camera.height, camera.width, 3), np.float32)
-    if quality.shared:
-        turns, shared = LAMP_GROUPS, lighting.place_lamps(scene.corners, ball, key, sky, quality.map_size)
-        lighting.draw_floor(Intrinsics.of(camera), *viewer, shared, *lit, colours, FLOOR_STEP, floor_image)
-
-    def sample(number: int) -> np.ndarray:
-        shift = (_van_der_corput(number, 2) - 0.5, _van_der_corput(number, 3) - 0.5)
+    behind = np.full((camera.height, camera.width, 3), _linear(background), np.float32)
+    if ground:
+        draw_ground(Intrinsics.of(camera), *viewer, lamps, float(scene.corners[..., 2].min()), behind[0, 0], behind)
+    total = np.zeros_like(behind)
+    for sample in range(SAMPLES):
+        shift = (_van_der_corput(sample, 2) - 0.5, _van_der_corput(sample, 3) - 0.5)
         shifted = replace(camera, cx=camera.cx + shift[0], cy=camera.cy + shift[1])
         rendered = render(shifted, world_from_camera, meshes, threads=1)
-        buffers = (rendered.depth, rendered.body_ids, rendered.face_ids)
-        lamps = shared or lighting.place_lamps(scene.corners, ball, key[number::samples], sky[number::samples])
-        image = floor_image.copy()
-        light = (scene, lamps, (number * TURNS % turns, turns), *lit, quality.shared, colours)
-        lighting.illuminate(Intrinsics.of(shifted), *viewer, buffers, *light, image)
-        draw_lines(*buffers, scene.first_face, patches, scene.albedo, OUTLINE_STEP * ball[1], image)
-        return image
-
-    total = np.zeros((camera.height, camera.width, 3), np.float32)
-    with ThreadPoolExecutor(1 if quality.shared else usable_cores()) as pool:
-        for image in pool.map(sample, range(samples)):
-            total += np.minimum(image, 1, out=image)
-    return _srgb(np.divide(total, samples, out=total))
+        buffers, image = (rendered.depth, rendered.body_ids, rendered.face_ids), behind.copy()
+        illuminate(Intrinsics.of(shifted), *viewer, buffers, scene, lamps, sample, SAMPLES, image)
+        draw_lines(*buffers, scene.first_face, patches, scene.albedo, OUTLINE_STEP * radius, image)
+        total += np.minimum(image, 1, out=image)
+    return _srgb(np.divide(total, SAMPLES, out=total))
 
 
 def framing_camera(
@@ -219,7 +178,7 @@ def _shortened(label: str, font: ImageFont.FreeTypeFont | ImageFont.ImageFont, w
     return label.rstrip() + "..."
 
 
-def _shading_scene(bodies: Sequence[ColouredBody]) -> tuple[lighting.ShadingScene, np.ndarray]:
+def _shading_scene(bodies: Sequence[ColouredBody]) -> tuple[ShadingScene, np.ndarray]:
     """The bodies as the shading loop needs them, and the smooth patch (m,) of each face, distinct over all bodies."""
     meshes = {id(body.mesh): body.mesh for body in bodies}
     smoothed = {key: smooth_patches(mesh) for key, mesh in meshes.items()}
@@ -235,7 +194,7 @@ def _shading_scene(bodies: Sequence[ColouredBody]) -> tuple[lighting.ShadingScen
         patch += own_patches.max(initial=-1) + 1
     albedo = np.stack([_linear(body.colour) for body in bodies])
     shape = (np.concatenate(corners), np.concatenate(normals), np.concatenate(flat))
-    return lighting.ShadingScene(np.array(first[:-1]), *shape, albedo), np.concatenate(patches)
+    return ShadingScene(np.array(first[:-1]), *shape, albedo), np.concatenate(patches)
 
 
 def _bounding_ball(points: np.ndarray) -> tuple[np.ndarray, float]:

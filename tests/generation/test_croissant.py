@@ -9,8 +9,8 @@ from typing import Any
 import mlcroissant
 import pytest
 
-from kit1000.generation.card import BIASES, LIMITS, USES, citation
 from kit1000.generation.croissant import PUBLISHED, croissant_bytes
+from kit1000.generation.readme import BIASES, LIMITS, USES, citation
 from tests.samples.cards import summary, tables, withheld
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning:rdflib.*")  # of the validator's own reader

@@ -18,11 +18,11 @@ from kit1000.errors import Redraw
 from kit1000.files import read_json
 from kit1000.generation import shards as module
 from kit1000.generation.build import generate
-from kit1000.generation.card import card_bytes
-from kit1000.generation.card_statistics import add_up, scene_statistics
 from kit1000.generation.parts_and_kits import BUILD_FOLDER
 from kit1000.generation.plan import scene_id_of
+from kit1000.generation.readme import readme_bytes
 from kit1000.generation.shards import EXTRA_VIEWS, OBSERVATIONS, TRUTH, make_shard, shard_jobs
+from kit1000.generation.statistics import add_up, scene_statistics
 from kit1000.generation.verify import verify
 from tests.samples.mini import MINI, fake_scene, file_hashes, l_shape_sources
 
@@ -81,7 +81,7 @@ def test_a_refused_scene_is_reported_and_the_others_are_made(tmp_path: Path) -> 
     assert TruthFile(root / "train/0000.truth.mcap").scene_ids == ("train-s0000",)
     assert [scene.id for scene in Dataset(root).split("train")] == ["train-s0000"]
     assert verify(root).faults == ()
-    assert b"none of 60 layouts passes, mostly: parts touch" in card_bytes(summary)
+    assert b"none of 60 layouts passes, mostly: parts touch" in readme_bytes(summary)
 
 
 def test_a_shard_without_a_scene_has_no_files(tmp_path: Path) -> None:

@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 
 from kit1000.dataset.reader import Dataset
 from kit1000.files import json_bytes, read_json
-from kit1000.generation.card import card_bytes
-from kit1000.generation.card_statistics import add_up, part_statistics, scene_statistics
 from kit1000.generation.croissant import croissant_bytes
 from kit1000.generation.dataset_summary import refused_files, summary_bytes
 from kit1000.generation.plan import DATA_VERSION, dataset_id, make_plan
+from kit1000.generation.readme import readme_bytes
+from kit1000.generation.statistics import add_up, part_statistics, scene_statistics
 from kit1000.queries.tracks import SPLITS
 from tests.samples.mini import MINI, file_hashes
 
@@ -83,7 +83,7 @@ def test_all_files_exist_with_their_hashes(mini: Path, summary: dict[str, Any]) 
 def test_card_and_croissant_depend_on_the_summary_only(mini: Path, summary: dict[str, Any]) -> None:
     told = {key: value for key, value in summary.items() if key != "checksum"}
     told["files"] = {i: digest for i, digest in summary["files"].items() if i not in ("README.md", "croissant.json")}
-    assert (mini / "README.md").read_bytes() == card_bytes(told)
+    assert (mini / "README.md").read_bytes() == readme_bytes(told)
     assert (mini / "croissant.json").read_bytes() == croissant_bytes(told)
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import shutil
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +19,6 @@ from kit1000.generation.withhold import publish
 from kit1000.pictures import dataset_sheets as sheets
 from kit1000.pictures.dataset_sheets import geometry_sheet, scene_sheet
 from kit1000.pictures.depth_images import depth_picture
-from kit1000.pictures.shading import QUICK, shaded_picture
 from kit1000.values import FIRST_PART_LABEL
 
 WIDTH, HEIGHT = 320, 180  # [px] smaller pictures than usual: rendering takes time
@@ -31,7 +29,6 @@ GAP, CAPTION = 8, 30  # [px] between the pictures of a sheet, and below each, at
 def _small_pictures() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sheets, "SCENE_TILE", (WIDTH, HEIGHT))
-        patch.setattr(sheets, "shaded_picture", partial(shaded_picture, quality=QUICK))
         yield
 
 

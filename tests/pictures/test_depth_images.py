@@ -8,7 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kit1000.camera import Camera
-from kit1000.pictures.depth_images import FAR_COLOUR, MIDDLE_COLOUR, NEAR_COLOUR, depth_picture, mask_picture
+from kit1000.pictures.depth_images import (
+    FAR_COLOUR,
+    MIDDLE_COLOUR,
+    NEAR_COLOUR,
+    depth_picture,
+    mask_picture,
+    surface_light,
+    surface_normals,
+)
 from kit1000.pictures.shading import INK, KIT, PART, SECONDARY, TABLE
 from kit1000.pose import Pose
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, View
@@ -93,16 +101,49 @@ def test_a_few_outliers_do_not_change_the_scale() -> None:
     assert np.abs(one - other)[far].max() <= 2
 
 
+def normals_of(depth: np.ndarray) -> np.ndarray:
+    return surface_normals(CAMERA, depth.astype(np.float32), np.ones(SHAPE, bool)).reshape(*SHAPE, 3)
+
+
+@given(tilt=st.tuples(st.floats(-0.7, 0.7), st.floats(-0.7, 0.7)))
+def test_the_normals_of_a_plane_are_its_own_towards_the_camera(tilt: tuple[float, float]) -> None:
+    normal = np.array((*tilt, -1.0)) / np.linalg.norm((*tilt, 1.0))
+    v, u = np.indices(SHAPE)
+    rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(SHAPE)], axis=-1)
+    found = normals_of(0.7 * normal[2] / (rays @ normal))
+    np.testing.assert_allclose(found, np.broadcast_to(normal, found.shape), atol=1e-3)
+
+
+def test_edges_stay_sharp_and_lone_pixels_have_no_normal() -> None:
+    np.testing.assert_allclose(normals_of(steps(0.5, 0.9)) @ (0, 0, -1), 1, atol=1e-6)  # two walls, no slope between
+    lone = np.zeros(SHAPE)
+    lone[20, 30] = 0.7
+    assert np.isnan(normals_of(lone)).all()
+    assert (surface_light(CAMERA, lone, lone > 0) == 1).all()
+
+
 def test_surfaces_are_lit_from_the_upper_left() -> None:
     """The same slope is bright where it faces the light and dark where it faces away."""
     v, u = np.indices(SHAPE)
     # Depth grows towards the side that a surface faces: the ground is farther the higher it is in the image.
     facing = {"left": -u, "right": u, "up": -v, "down": v}
-    views = {
-        side: LabelledDepth(view_of(1 + 0.01 * along), np.zeros(SHAPE, np.uint8)) for side, along in facing.items()
-    }
+    views = {side: LabelledDepth(view_of(1 + 0.01 * along), np.ones(SHAPE, np.uint8)) for side, along in facing.items()}
     lit = {side: int(mask_picture(image)[24, 32].sum()) for side, image in views.items()}
     assert min(lit["left"], lit["up"]) > 1.2 * max(lit["right"], lit["down"])
+
+
+def test_lines_separate_labels_and_steps_but_cross_no_plane() -> None:
+    labels = np.ones(SHAPE, np.uint8)
+    v, u = np.indices(SHAPE)
+    tilted = 1 / (1.2 + 0.002 * u - 0.001 * v)  # a plane: its inverse depth is linear
+
+    def is_dark(depth: np.ndarray, kinds: np.ndarray) -> np.ndarray:
+        return mask_picture(LabelledDepth(view_of(depth), kinds)).max(axis=2) < 120
+
+    assert not is_dark(tilted, labels).any()
+    two = np.where(u < 32, 1, 2).astype(np.uint8)
+    assert is_dark(tilted, two)[:, 31:33].all()
+    assert is_dark(tilted - 0.05 * (u >= 32), labels)[:, 31:33].all(axis=0).any()
 
 
 def test_masks_have_the_colour_of_their_label() -> None:
@@ -113,10 +154,10 @@ def test_masks_have_the_colour_of_their_label() -> None:
         labels[:, 6 * place : 6 * place + 6] = label
     picture = mask_picture(LabelledDepth(view_of(np.full(SHAPE, 0.9)), labels)).astype(float)
     for place, colour in enumerate(colours.values()):
-        stripe = picture[:, 6 * place : 6 * place + 6].reshape(-1, 3)
-        assert len(np.unique(stripe, axis=0)) == 1  # uniform: the colour depends on the label only
+        stripe = picture[:, 6 * place + 1 : 6 * place + 5].reshape(-1, 3)
+        assert len(np.unique(stripe, axis=0)) == 1  # between lines the colour depends on the label only
         np.testing.assert_allclose(hue_of(stripe)[0], unlit(colour), atol=0.01)
-    first = picture[0, 6 * (FIRST_PART_LABEL + np.arange(8))]
+    first = picture[0, 6 * (FIRST_PART_LABEL + np.arange(8)) + 2]
     assert len(np.unique(first[:7], axis=0)) == 7  # parts of one scene differ
     assert np.array_equal(first[0], first[7])  # the eighth has the first colour
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from kit1000.dataset.schema import SceneTruth
 from kit1000.dataset.tables import FORMAT, pose_row
-from kit1000.generation.card_statistics import add_up, part_statistics, scene_statistics
+from kit1000.generation.statistics import add_up, part_statistics, scene_statistics
 from kit1000.pose import Pose
 
 SYMMETRY = {"name": "C2", "rotations": [], "axis": None}

@@ -12,7 +12,6 @@ from kit1000.dataset.mcap_io import ObservationWriter
 from kit1000.dataset.schema import Observation
 from kit1000.dataset.tables import FORMAT
 from kit1000.files import with_checksum, write_json
-from kit1000.pictures.png_files import png_bytes
 from kit1000.pictures.scene_preview import scene_picture
 from kit1000.values import FIRST_PART_LABEL, LabelledDepth
 
@@ -27,7 +26,7 @@ def write_forgotten(folder: Path, scenes: Mapping[str, LabelledDepth], clearance
     with ObservationWriter(folder / "test" / "0000.mcap") as writer:
         for scene_id, image in scenes.items():
             seen = Observation(scene_id, {SENSOR: image.view}, image.labels, _queries(scene_id, image.labels))
-            writer.add(Observation(scene_id, seen.views, seen.labels, seen.queries, png_bytes(scene_picture(seen))))
+            writer.add(Observation(scene_id, seen.views, seen.labels, seen.queries, scene_picture(seen)))
     files = {f"{name}.json": write_json(folder / f"{name}.json", {}) for name in ("parts", "kits", "assemblies")}
     files["test/0000.mcap"] = writer.sha256 or ""
     config = {"clearance": clearance, "scale": 1.0, "curve_scenes": 0, "frames": 1, "tracks": tracks_of(SENSOR)}

@@ -7,7 +7,6 @@ and nanoseconds. Positions and rotations are float64 in the messages, so a pose 
 from __future__ import annotations
 
 import json
-import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -28,6 +27,7 @@ from mcap_protobuf.schema import build_file_descriptor_set
 
 from kit1000.camera import Camera
 from kit1000.dataset.mcap_io.content import json_bytes
+from kit1000.dataset.png_files import png_bytes, read_png
 from kit1000.errors import checked
 from kit1000.pose import Pose
 
@@ -44,6 +44,8 @@ ENCODINGS = {
     "mono16": np.dtype("<u2"),
     "rgb8": np.dtype("u1"),  # (H, W, 3)
 }
+LARGE = {f"foxglove.{name}" for name in ("RawImage", "CompressedImage", "PointCloud", "SceneUpdate")}
+"""Schemas of the messages that have a chunk of their own."""
 
 
 @dataclass(frozen=True)
@@ -86,9 +88,9 @@ def row_message(topic: str, schema: Schema, row: Any, what: str) -> Message:
     return Message(topic, schema, json_bytes(row, what))
 
 
-def row_of(data: memoryview) -> Any:
+def row_of(data: bytes) -> Any:
     """The row of a JSON message."""
-    return json.loads(bytes(data))
+    return json.loads(data)
 
 
 def camera_message(topic: str, camera: Camera, frame: str, stamp: int) -> Message:
@@ -106,9 +108,9 @@ def camera_message(topic: str, camera: Camera, frame: str, stamp: int) -> Messag
     return _message(topic, value)
 
 
-def camera_of(data: memoryview) -> Camera:
+def camera_of(data: bytes) -> Camera:
     """The camera of a calibration."""
-    value = CameraCalibration.FromString(bytes(data))
+    value = CameraCalibration.FromString(data)
     return Camera(value.width, value.height, value.K[0], value.K[4], value.K[2], value.K[5])
 
 
@@ -123,9 +125,9 @@ def frames_message(topic: str, world_from_frames: Mapping[str, Pose], stamp: int
     return _message(topic, value)
 
 
-def frames_of(data: memoryview) -> dict[str, Pose]:
+def frames_of(data: bytes) -> dict[str, Pose]:
     """The poses `world_from_frame` by the name of the frame."""
-    transforms = FrameTransforms.FromString(bytes(data)).transforms
+    transforms = FrameTransforms.FromString(data).transforms
     return {item.child_frame_id: _pose_of(item.translation, item.rotation) for item in transforms}
 
 
@@ -140,9 +142,9 @@ def poses_message(topic: str, world_from_poses: Pose, stamp: int) -> Message:
     return _message(topic, value)
 
 
-def poses_of(data: memoryview) -> Pose:
+def poses_of(data: bytes) -> Pose:
     """The batch (n,) of poses."""
-    poses = PosesInFrame.FromString(bytes(data)).poses
+    poses = PosesInFrame.FromString(data).poses
     return Pose.stack([_pose_of(item.position, item.orientation) for item in poses])
 
 
@@ -165,9 +167,9 @@ def models_message(
     return _message(topic, value)
 
 
-def models_of(data: memoryview) -> dict[str, bytes]:
+def models_of(data: bytes) -> dict[str, bytes]:
     """The GLB models by the name of their body."""
-    return {entity.id: entity.models[0].data for entity in SceneUpdate.FromString(bytes(data)).entities}
+    return {entity.id: entity.models[0].data for entity in SceneUpdate.FromString(data).entities}
 
 
 def points_message(
@@ -220,57 +222,22 @@ def image_message(topic: str, image: np.ndarray, encoding: str, frame: str, stam
     return _message(topic, value)
 
 
-def image_of(data: memoryview) -> np.ndarray:
-    """The image (H, W) of a message: a read-only view of its bytes, possibly unaligned."""
-    fields = {name: _protobuf_fields(data).get(RawImage.DESCRIPTOR.fields_by_name[name].number) for name in
-              ("width", "height", "encoding", "data")}  # fmt: skip
-    dtype = ENCODINGS[str(fields["encoding"], "utf-8")]  # type: ignore[arg-type]
-    image = np.frombuffer(fields["data"], dtype).reshape(fields["height"], fields["width"])  # type: ignore[arg-type]
-    image.setflags(write=False)
-    return image
+def image_of(data: bytes) -> np.ndarray:
+    """The image (H, W) of a message, read-only."""
+    value = RawImage.FromString(data)
+    return np.frombuffer(value.data, ENCODINGS[value.encoding]).reshape(value.height, value.width)
 
 
-def preview_message(topic: str, png: bytes, stamp: int) -> Message:
-    """A picture, in a frame of its own: it has fewer pixels than the depth images."""
-    value = CompressedImage(frame_id=PREVIEW_FRAME, format="png", data=png)
+def preview_message(topic: str, picture: np.ndarray, stamp: int) -> Message:
+    """A picture (H, W, 3) uint8 sRGB as a PNG, in a frame of its own: it has fewer pixels than the depth images."""
+    value = CompressedImage(frame_id=PREVIEW_FRAME, format="png", data=png_bytes(picture))
     _set_time(value.timestamp, stamp)
     return _message(topic, value)
 
 
-def preview_of(data: memoryview) -> bytes:
-    """The PNG of a picture."""
-    return CompressedImage.FromString(bytes(data)).data
-
-
-def _protobuf_fields(data: memoryview) -> dict[int, Any]:
-    """The fields of a protobuf message by number, bytes as views: the parser of protobuf would copy an image twice."""
-    fields: dict[int, Any] = {}
-    at = 0
-    while at < len(data):
-        key, at = _varint(data, at)
-        if key & 7 == 0:
-            value, at = _varint(data, at)
-        elif key & 7 == 2:
-            size, at = _varint(data, at)
-            value, at = data[at : at + size], at + size
-        else:
-            layout = {1: "<Q", 5: "<I"}[key & 7]
-            (value,) = struct.unpack_from(layout, data, at)
-            at += struct.calcsize(layout)
-        fields[key >> 3] = value
-    return fields
-
-
-def _varint(data: memoryview, at: int) -> tuple[int, int]:
-    """A variable-length integer (seven bits a byte, lowest first), and the offset of its end."""
-    value = shift = 0
-    while True:
-        byte = data[at]
-        at += 1
-        value |= (byte & 0x7F) << shift
-        if byte < 0x80:
-            return value, at
-        shift += 7
+def preview_of(data: bytes) -> np.ndarray:
+    """The picture (H, W, 3) uint8 sRGB."""
+    return read_png(CompressedImage.FromString(data).data)
 
 
 def _set_time(stamp: Any, time: int) -> None:

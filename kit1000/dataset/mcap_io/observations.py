@@ -6,13 +6,11 @@ contain no poses of parts and no random draws.
 
 from __future__ import annotations
 
-import io
 import re
 from collections.abc import Iterator
 from functools import lru_cache
 
 import numpy as np
-from PIL import Image
 
 from kit1000.camera import Camera
 from kit1000.dataset.mcap_io.content import check_on_grid, observation_hash
@@ -99,7 +97,8 @@ class ObservationFile(ShardFile):
 
     def view_keys(self, scene_id: str) -> tuple[str, ...]:
         """The view keys of a scene, the ideal sensor before the others."""
-        return tuple(t.removeprefix("/").removesuffix("/depth") for t in self._topics(scene_id) if t.endswith("/depth"))
+        topics = (topic for topic in self._topics(scene_id) if topic.endswith("/depth"))
+        return tuple(sorted((topic.removeprefix("/").removesuffix("/depth") for topic in topics), key=_sort_key))
 
     def view(self, scene_id: str, key: str | None = None) -> View:
         """A depth image with its camera and the measured camera pose; None: the first of `view_keys`."""
@@ -107,8 +106,8 @@ class ObservationFile(ShardFile):
         key = key or next(iter(keys), IDEAL)
         if key not in keys:
             raise InputError(f"{self.path}: scene {scene_id} has no view {key!r}; it has {', '.join(keys) or 'none'}")
-        camera = _camera(bytes(self._one(scene_id, f"/{key}/camera")))
-        return View(camera, self.camera_pose(scene_id, key), image_of(self._one(scene_id, f"/{key}/depth")))
+        camera, depth = _camera(self._one(scene_id, f"/{key}/camera")), self._one(scene_id, f"/{key}/depth")
+        return View.adopt(camera, self.camera_pose(scene_id, key), image_of(depth))
 
     def camera_pose(self, scene_id: str, key: str) -> Pose:
         """The measured world_from_camera of a view, without reading its image."""
@@ -117,10 +116,10 @@ class ObservationFile(ShardFile):
     def labels(self, scene_id: str) -> np.ndarray | None:
         """(H, W) uint8 masks of the primary camera, see `kit1000.values.LabelledDepth`; None without masks."""
         masks = self._all(scene_id, LABELS)
-        return checked("labels", image_of(masks[0]), ("h", "w"), np.uint8) if masks else None
+        return image_of(masks[0]) if masks else None
 
-    def preview(self, scene_id: str) -> bytes | None:
-        """A small PNG of the scene; None without one."""
+    def preview(self, scene_id: str) -> np.ndarray | None:
+        """(h, w, 3) uint8 sRGB, a small picture of the scene; None without one."""
         previews = self._all(scene_id, PREVIEW)
         return preview_of(previews[0]) if previews else None
 
@@ -136,7 +135,7 @@ class ObservationFile(ShardFile):
 
 
 def _messages(observation: Observation, stamp: int) -> Iterator[Message]:
-    """The messages of a scene, small ones first, so that a reader can stop decompressing early."""
+    """The messages of a scene, small ones first."""
     views = {key: observation.views[key] for key in sorted(observation.views, key=_sort_key)}
     # A calibration for every frame, beside its images: viewers look for it there, and object to two of one frame.
     for key, view in views.items():
@@ -162,28 +161,25 @@ def _messages(observation: Observation, stamp: int) -> Iterator[Message]:
         yield image_message(f"/{key}/depth", view.depth, "32FC1", _frame_id(key), stamp)
 
 
-def _preview_points(observation: Observation, view: View, preview: bytes, stamp: int) -> Message:
+def _preview_points(observation: Observation, view: View, preview: np.ndarray, stamp: int) -> Message:
     """Some pixels of the preview as points in its frame, denser on bodies: viewers show them in 3D at once."""
-    seen = view.depth[::PREVIEW_STEP, ::PREVIEW_STEP] > 0
+    height, width = preview.shape[:2]
+    seen = view.depth[::PREVIEW_STEP, ::PREVIEW_STEP][:height, :width] > 0
     kept = np.zeros_like(seen)
     if observation.labels is not None:
-        bodies = observation.labels[::PREVIEW_STEP, ::PREVIEW_STEP] > 0
+        bodies = observation.labels[::PREVIEW_STEP, ::PREVIEW_STEP][:height, :width] > 0
         kept[::BODY_STEP, ::BODY_STEP] = bodies[::BODY_STEP, ::BODY_STEP]
     kept[::TABLE_STEP, ::TABLE_STEP] = True
     v, u = np.nonzero(kept & seen)
     pixels = np.stack([u, v], axis=-1) * PREVIEW_STEP
     points = view.camera.unproject_pixels(pixels, view.depth[pixels[:, 1], pixels[:, 0]])
     points = np.rint(points / POINT_GRID) * POINT_GRID
-    try:
-        colours = np.asarray(Image.open(io.BytesIO(preview)).convert("RGB"))[v, u]
-    except (OSError, IndexError) as error:
-        raise InputError(f"{observation.scene_id}: its preview is no PNG of {seen.shape[::-1]} pixels") from error
-    return points_message(POINTS, points, colours, PREVIEW_FRAME, stamp)
+    return points_message(POINTS, points, preview[v, u], PREVIEW_FRAME, stamp)
 
 
 @lru_cache(maxsize=16)
 def _camera(data: bytes) -> Camera:
-    return camera_of(memoryview(data))
+    return camera_of(data)
 
 
 def _frame_id(key: str) -> str:

@@ -79,7 +79,7 @@ class TruthFile(ShardFile):
             world_from_assembly=pose_of(row["world_from_assembly"]),
             parts=tuple(row["parts"]),
             queries=row["queries"],
-            seg=checked("seg", image_of(self._one(scene_id, "/seg")), ("h", "w"), np.uint16),
+            seg=image_of(self._one(scene_id, "/seg")),
             models=self.models(scene_id),
             goals=poses_of(goals[0]) if goals else None,
             crowded=row["crowded"],

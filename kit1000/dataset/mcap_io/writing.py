@@ -1,7 +1,7 @@
-"""Writing a shard: scenes as messages, one chunk each, and a metadata record with the contents of the file.
+"""Writing a shard: scenes as messages, and a metadata record with the contents of the file.
 
-The bytes depend only on the scenes: times and library name are fixed. The metadata record `kit1000` has a checksum of
-every message, so that a reader can verify a part of a chunk without the rest of it.
+The bytes depend only on the scenes: times and library name are fixed. The small messages of a scene are one chunk, each
+image is a chunk of its own: so a reader of MCAP files decompresses only what it needs, and checks its CRC.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import io
 import sys
-import zlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from types import TracebackType
@@ -18,7 +17,7 @@ from typing import ClassVar
 from mcap.writer import CompressionType, Writer
 
 from kit1000.dataset.mcap_io.content import json_bytes
-from kit1000.dataset.mcap_io.messages import SECOND, Message
+from kit1000.dataset.mcap_io.messages import LARGE, SECOND, Message
 from kit1000.dataset.schema import LICENCE
 from kit1000.dataset.tables import FORMAT
 from kit1000.errors import InputError
@@ -36,13 +35,11 @@ class ShardWriter:
     CONTENTS: ClassVar[str]
 
     def __init__(self, path: str | Path, licence: str = LICENCE) -> None:
-        """Begin a file under a licence."""
         self.licence = licence
         self.path = Path(path) if isinstance(path, str) else path  # an object store has its own path type
         self.sha256: str | None = None
         """SHA-256 of the file in hex; None until it is written."""
         self._content: dict[str, str] = {}
-        self._messages: dict[str, list[tuple[str, int]]] = {}
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
         self._buffer = io.BytesIO()
@@ -64,18 +61,19 @@ class ShardWriter:
         return START + len(self._content) * SECOND
 
     def record(self, scene_id: str, content_hash: str, messages: Iterable[Message]) -> None:
-        """Write the messages of a scene in their order, as one chunk.
+        """Write the messages of a scene in their order, small ones first.
 
         All have one time: a viewer then shows all of them, with the calibrations and frames that they need.
         """
         if scene_id in self._content:
             raise InputError(f"{self.path}: scene {scene_id} is recorded twice")
-        time, listed = self.stamp, list(messages)
-        for message in listed:
+        time = self.stamp
+        for message in messages:
+            if message.schema.name in LARGE:
+                self._mcap.flush()  # ends the chunk before it
             self._mcap.add_message(self._channel(message), time, message.data, time)
-        self._mcap.flush()  # ends the chunk
+        self._mcap.flush()
         self._content[scene_id] = content_hash
-        self._messages[scene_id] = [(message.topic, zlib.crc32(message.data)) for message in listed]
 
     def _channel(self, message: Message) -> int:
         schema, topic = message.schema, message.topic
@@ -96,9 +94,28 @@ class ShardWriter:
             "depth_unit": "m",
             "scenes": json_bytes(list(self._content), "scenes").decode(),
             "content": json_bytes(self._content, "content").decode(),
-            "messages": json_bytes(self._messages, "messages").decode(),
         }
         return record | {"checksum": record_checksum(record)}
+
+
+class PictureWriter(ShardWriter):
+    """Writes a recording made for looking at: the messages of one scene."""
+
+    CONTENTS = "pictures"
+
+    def __init__(self, path: str | Path, stamp: int) -> None:
+        super().__init__(path)
+        self._stamp = stamp
+
+    @property
+    def stamp(self) -> int:
+        """The time of the scene [ns]."""
+        return self._stamp
+
+    def add(self, scene_id: str, messages: list[Message]) -> None:
+        """Write the messages of the scene."""
+        digest = hashlib.sha256(b"".join(message.data for message in messages))
+        self.record(scene_id, digest.hexdigest(), messages)
 
 
 def record_checksum(record: Mapping[str, str]) -> str:

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kit1000.generation import card_statistics
-from kit1000.generation.card_statistics import add_up, bin_name, bin_names, part_statistics, scene_statistics, track_of
+from kit1000.generation import statistics
+from kit1000.generation.statistics import add_up, bin_name, part_statistics, scene_statistics, track_of
 from tests.samples.cards import PAIRS, tables, truth
 
-EDGES = [edges for name, edges in vars(card_statistics).items() if isinstance(edges, tuple) and name.isupper()]
+EDGES = [edges for name, edges in vars(statistics).items() if isinstance(edges, tuple) and name.isupper()]
 TREES = st.recursive(
     st.dictionaries(st.sampled_from("abc"), st.integers(0, 9), max_size=3),
     lambda inner: st.dictionaries(st.sampled_from("xyz"), inner, max_size=3),
@@ -38,8 +38,6 @@ def test_the_statistics_of_a_scene_match_a_count_by_hand() -> None:
     assert found["slot_visible_percent"] == {"50-75": 2}
     assert found["unseen"] == {"slot seen at a grazing angle": 1}
     assert found["queries"] == {"curves": 1, "place-paper": 1, "snap-tilt": 1}
-    guesses = {"n": 1, "sum_um": 20000, "sum_mdeg": 5730, "mm": {"20-30": 1}, "deg": {"5-10": 1}}
-    assert found["guesses"] == {"snap-tilt": guesses}
 
 
 @given(st.lists(st.floats(0, 0.05), max_size=6), st.integers(0, 6))
@@ -63,15 +61,9 @@ def shape(tree: object) -> int:
 @given(st.sampled_from(EDGES), st.floats(0, 100))
 def test_every_number_has_exactly_one_bin(edges: tuple[int, ...], value: float) -> None:
     name = bin_name(value, edges)
-    assert name in bin_names(edges)
     low, _, high = name.partition("-")
     assert float(low.rstrip("+")) <= value
     assert value < float(high or "inf") or value == edges[-1] == 100
-
-
-def test_bins_are_named_in_order() -> None:
-    assert bin_names((0, 5, 15)) == ["0-5", "5-15", "15+"]
-    assert bin_names((0, 50, 100)) == ["0-50", "50-100"]
 
 
 @pytest.mark.parametrize(

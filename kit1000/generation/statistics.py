@@ -16,7 +16,6 @@ import numpy as np
 
 from kit1000.dataset.schema import SceneTruth
 from kit1000.dataset.tables import Row, pose_of
-from kit1000.numerics.linear_algebra import length
 from kit1000.queries.tracks import CURVES
 
 TILT_DEG = (0, 5, 15, 30, 45)
@@ -24,8 +23,6 @@ VISIBLE_PERCENT = (0, 50, 60, 70, 80, 90, 100)
 PIXELS = (0, 800, 1600, 3200, 6400)
 SLOT_ANGLE_DEG = (0, 20, 40, 55, 70)
 SLOT_VISIBLE_PERCENT = (0, 15, 30, 50, 75, 100)
-GUESS_MM = (0, 10, 20, 30, 40, 50)
-GUESS_DEG = (0, 5, 10, 15, 20, 25)
 KEYEDNESS_DEG = (0, 5, 10, 15, 20, 30, 45, 90)
 FREE_AXIS = "any turn seats"  # bin name of the keyedness of a slot with a free axis
 CROWDED, UNCROWDED = "pushed together", "apart"  # bin names of scenes by how near their parts are to each other
@@ -71,11 +68,6 @@ def bin_name(value: float, edges: tuple[int, ...]) -> str:
     return f"{edges[place - 1]}+" if place == len(edges) else f"{edges[place - 1]}-{edges[place]}"
 
 
-def bin_names(edges: tuple[int, ...]) -> list[str]:
-    """The names of all bins, in order."""
-    return list(dict.fromkeys([*(bin_name(edge, edges) for edge in edges)]))
-
-
 def track_of(query_id: str) -> str:
     """The track of a query, from its id."""
     if query_id.startswith(f"{CURVES}-"):
@@ -99,26 +91,6 @@ def _one_scene(truth: SceneTruth) -> Statistics:
         "slot_visible_percent": _counts(bin_name(100 * row["slot_visible"], SLOT_VISIBLE_PERCENT) for row in parts),
         "unseen": _counts(row["unseen"] for row in parts if row["unseen"] is not None),
         "queries": _counts(map(track_of, truth.queries)),
-        "guesses": add_up(
-            _guess_statistics(track_of(query_id), row["draw"]) for query_id, row in truth.queries.items()
-        ),
-    }
-
-
-def _guess_statistics(track: str, draw: Row | None) -> Statistics:
-    """The error of a guess at its pivot. The errors of the curves are set, not drawn, and are left out."""
-    if draw is None or track == CURVES:
-        return {}
-    millimetres = 1e3 * length(draw["offset"])
-    degrees = float(np.degrees(length(draw["rotvec"])))
-    return {
-        track: {
-            "n": 1,
-            "sum_um": round(1e3 * millimetres),
-            "sum_mdeg": round(1e3 * degrees),
-            "mm": {bin_name(millimetres, GUESS_MM): 1},
-            "deg": {bin_name(degrees, GUESS_DEG): 1},
-        }
     }
 
 

@@ -1,4 +1,4 @@
-"""Tests of the data card: it has the statistics of dataset.json, and the same bytes for the same summary."""
+"""Tests of the data card: it states counts and redraws of dataset.json, and has the same bytes for the same summary."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from itertools import chain
 import pytest
 
 from kit1000.dataset.schema import SceneTruth
-from kit1000.generation.card import FILES, READING_EXAMPLE, card_bytes, citation, files_by_pattern
+from kit1000.generation.readme import FILES, READING_EXAMPLE, citation, files_by_pattern, readme_bytes
 from kit1000.values import Query, View
 from tests.samples.cards import summary, withheld
 
@@ -27,34 +27,20 @@ def table_below(card: str, heading: str) -> list[list[str]]:
 
 
 def card(of: dict) -> str:
-    return card_bytes(of).decode()
+    return readme_bytes(of).decode()
 
 
-def test_statistics_are_in_tables_by_split() -> None:
+def test_counts_and_redraws_are_in_tables_the_most_frequent_first() -> None:
     text = card(summary())
-    assert table_below(text, "Tilt of the slot [deg]") == [["", "test"], ["0-5", "2 (50.0 %)"], ["30-45", "2 (50.0 %)"]]
-    assert table_below(text, "How parts lie")[1:] == [["tumbled", "2 (50.0 %)"], ["upright", "2 (50.0 %)"]]
-    assert table_below(text, "Kits in an assembly")[1:] == [["2", "2 (100.0 %)"]]
-    assert table_below(text, "Queries by track")[1:] == [["curves", "2"], ["place-paper", "2"], ["snap-tilt", "2"]]
-    assert table_below(text, "How far guesses are off, at the pivot")[1:] == [["test", "snap-tilt", "2", "20.0", "5.7"]]
-    assert table_below(text, "Keyedness: smallest wrong turn that does not seat [deg]")[1:] == [
-        ["20-30", "6 (100.0 %)"]
-    ]
     assert table_below(text, "Counts")[1:] == [[split, "2", "2", "2"] for split in ("train", "val", "test")]
-
-
-def test_redraws_are_listed_by_reason_the_most_frequent_first() -> None:
-    text = card(summary())
-    assert table_below(text, "Parts")[1:] == [["near-duplicate", "11"], ["loose fit", "3"]]
-    assert table_below(text, "Scenes")[1:] == [["parts touch", "2"]]
-    assert table_below(text, "Refused scenes")[1:] == [["out of view", "1"]]
-    assert "### Assemblies\n\nNone." in text
-    assert "3 were, and none is left" in text
-
-
-def test_held_out_families_are_named_where_they_occur() -> None:
-    assert "Families in the test split alone: tee.\n" in card(summary())
-    assert "Families in the test split alone: gear, tee.\n" in card(withheld())  # of which no figures are told
+    assert "| snap-tilt | 0 | 0 | 2 |\n" in text
+    assert table_below(text, "Redraws")[1:] == [
+        ["parts", "near-duplicate", "11"],
+        ["parts", "loose fit", "3"],
+        ["scenes", "parts touch", "2"],
+        ["scenes left out", "out of view", "1"],
+    ]
+    assert "gear, tee" in text
 
 
 def test_the_head_is_valid_metadata() -> None:
@@ -77,6 +63,7 @@ def test_every_file_is_explained() -> None:
 def test_a_withheld_split_is_named_and_nothing_is_revealed() -> None:
     text = card(withheld())
     assert "The truth of the split `test`, its meshes and the plan are withheld" in text
+    assert table_below(text, "Redraws")
     assert "| seed |" not in text
     assert "`plan.json`" not in text
     assert "withheld" not in card(summary())
@@ -85,13 +72,13 @@ def test_a_withheld_split_is_named_and_nothing_is_revealed() -> None:
 def test_a_dataset_without_statistics_has_a_card() -> None:
     bare = {key: value for key, value in summary().items() if key not in ("statistics", "config", "refused_scenes")}
     text = card(bare | {"statistics": {"train": {}, "val": {}, "test": {}}, "redraws": {}})
-    assert "## Figures" not in text
+    assert "There were none." in text
     assert "## How to read it" in text
 
 
 def test_the_same_summary_gives_the_same_bytes_also_after_json() -> None:
     again = json.loads(json.dumps(summary(), sort_keys=True))
-    assert card_bytes(again) == card_bytes(summary())
+    assert readme_bytes(again) == readme_bytes(summary())
 
 
 def test_the_citation_names_the_dataset() -> None:
