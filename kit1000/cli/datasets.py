@@ -26,7 +26,7 @@ class Generate:
     """Generate a dataset. Run the same command again to continue after an interruption."""
 
     preset: Annotated[Positional[str], arg(metavar="PRESET")]
-    """tiny, small, kit1000, paper, real-like, study or completion."""
+    """tiny, small, kit1000, paper, real-like, study, print or completion."""
     out: Path
     """Dataset folder to write; with --engine ray all nodes must share it."""
     seed: OptionalInt = None

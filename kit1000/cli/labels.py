@@ -25,7 +25,7 @@ class Label:
     scene: OptionalId = None
     """Id of one scene; all scenes when absent."""
     shapes: OptionalPath = None
-    """Folder of a print set, or any dataset folder with the kits in the image."""
+    """Dataset folder with the kits in the image, such as one of the preset `print`."""
     assembly: OptionalId = None
     """Id of the assembly in --shapes; the only one when absent."""
     parts: tuple[str, ...] = ()
@@ -122,29 +122,4 @@ class Join:
         from kit1000.labelling.joined_folders import join_folders
 
         print(*join_folders(self.folders, self.out), f"{self.out}: joined", sep="\n")
-        return 0
-
-
-@dataclass(frozen=True)
-class Print:
-    """Write kits in pairs on brackets, and their parts, as 3MF to print; `label --shapes` reads the same folder."""
-
-    data: Folder
-    """Dataset folder."""
-    out: Path = Path("prints")
-    """Folder to write, which must not exist."""
-    ids: tuple[str, ...] = ()
-    """Ids of the parts, two a bracket; the first of the test split that go together when absent."""
-    brackets: tuple[float, ...] = (10.0, 20.0, 30.0)
-    """Angle of the second plate of each assembly [degrees], 10 to 45."""
-
-    def run(self) -> int:
-        """Write the folder, and print what to print."""
-        from kit1000.export.print_set import PRINTS, write_print_set
-
-        made = write_print_set(self.data, self.out, self.ids, self.brackets)
-        for (name, parts), angle in zip(made.items(), self.brackets, strict=True):
-            kits = f"kits of the parts {' and '.join(parts)}, bracket of {angle:g} degrees"
-            print(f"{self.out / PRINTS / f'kits-{name}.3mf'}: {kits}")
-        print(f"{self.out / PRINTS}: {len(made)} assemblies and {2 * len(made)} parts, 3MF in mm")
         return 0

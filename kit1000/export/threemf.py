@@ -1,4 +1,4 @@
-"""Export of an assembly as one object of a 3MF in millimetres, z up, standing on z = 0: ready for a slicer.
+"""A solid as one object of a 3MF in millimetres, z up: ready for a slicer.
 
 The writer of trimesh puts random identifiers into every file; the bytes of this one depend only on the mesh.
 Coordinates have full precision: values read back equal those written.
@@ -8,12 +8,9 @@ from __future__ import annotations
 
 import io
 import zipfile
-from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
-from kit1000.files import write_own
 from kit1000.mesh import Mesh
-from kit1000.values import Assembly
 
 CORE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
 PACKAGE = "http://schemas.openxmlformats.org/package/2006"
@@ -28,12 +25,6 @@ RELATIONS = f"""{XML}<Relationships xmlns="{PACKAGE}/relationships">
 </Relationships>
 """
 ALWAYS = (1980, 1, 1, 0, 0, 0)  # the earliest time in the zip format
-
-
-def write_3mf(assembly: Assembly, path: Path) -> Path:
-    """Write a 3MF of one object named by the assembly's id, unless one of another origin is there; returns the path."""
-    write_own(path, threemf_bytes(assembly.id, assembly.mesh))
-    return path
 
 
 def threemf_bytes(name: str, mesh: Mesh) -> bytes:

@@ -125,6 +125,18 @@ PRESETS = {
             crowded=0.0,
             all_upright=True,
         ),
+        Preset(
+            "print",
+            0,
+            0,
+            6,
+            kits=(2, 2),
+            level_base=True,
+            tilt_deg=(10.0, 30.0),
+            brackets_deg=(10.0, 20.0, 30.0),
+            curve_scenes=0,
+            crowded=0.0,
+        ),
         Preset("completion", 2000, 100, 100, seed=2000),
     )
 }

@@ -1,4 +1,4 @@
-"""The shapes of a real scene as their owner has them: a folder of a print set, or the two files of a kit.
+"""The shapes of a real scene as their owner has them: a dataset folder, or the two files of a kit.
 
 Either gives an assembly of kits with its slots and goals, and the parts: all that scoring needs besides poses.
 """
@@ -62,7 +62,7 @@ def read_known_kits(source: dict[str, Any]) -> KnownKits:
 
 
 def kits_of_folder(folder: Path, assembly_id: str | None = None) -> KnownKits:
-    """An assembly of a print set or of any dataset folder; None: the only one of the folder."""
+    """An assembly of a dataset folder, such as one of the preset `print`; None: the only one of the folder."""
     geometry = Geometry(folder)
     known = sorted(geometry.assemblies)
     if assembly_id is None and len(known) != 1:

@@ -92,8 +92,8 @@ def surface_normals(camera: Camera, depth: np.ndarray, where: np.ndarray) -> np.
     """
     padded = np.full(np.add(depth.shape, 2 * REACH), np.nan)
     np.divide(1.0, depth, out=padded[REACH:-REACH, REACH:-REACH], where=depth > 0)
-    row, values = padded.shape[1], padded.ravel()
-    v, u = np.divmod(np.flatnonzero(where), where.shape[1])
+    row, values = len(padded[0]), padded.ravel()
+    v, u = np.divmod(np.flatnonzero(where), len(where[0]))
     place = (v + REACH) * row + u + REACH
     here = values[place]
     down = _flatter(here - values[place - REACH * row], values[place + REACH * row] - here)

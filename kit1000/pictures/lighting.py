@@ -67,10 +67,11 @@ def open_light(normals: np.ndarray, key: np.ndarray, up: np.ndarray) -> np.ndarr
     key, up: (3,) unit vectors to the key light, and up. Only sums, products and quotients are computed: equal numbers
     on every processor.
     """
-    towards_key, height = (sum(normals[..., i] * float(direction[i]) for i in range(3)) for direction in (key, up))
-    share = np.maximum(towards_key, 0) / float(sum(a * b for a, b in zip(key, up, strict=True)))
-    terms = (share, (1 + height) / 2, (1 - height) / 2)
-    return sum(term[..., None] * colour for term, colour in zip(terms, COLOURS, strict=True))
+    x, y, z = normals[..., 0], normals[..., 1], normals[..., 2]
+    towards_key, height = (x * a + y * b + z * c for a, b, c in (key.tolist(), up.tolist()))
+    level = float(key[0] * up[0] + key[1] * up[1] + key[2] * up[2])
+    key_light, below = np.maximum(towards_key, 0)[..., None] / level, (0.5 - 0.5 * height)[..., None]
+    return key_light * COLOURS[0] + (1 - below) * COLOURS[1] + below * COLOURS[2]
 
 
 def place_lamps(corners: np.ndarray, centre: np.ndarray, radius: float, towards: np.ndarray) -> Lamps:

@@ -55,7 +55,7 @@ def scene_picture(observation: Observation) -> np.ndarray:
     picture[cells] = colours_of(light, valid[cells], NOTHING)
     for part in sorted({row["part"] for row in observation.queries if row["drawn"]}):
         (top, bottom), (left, right) = _window_of(labels == FIRST_PART_LABEL + part)
-        away = distance_transform_edt(labels[top:bottom, left:right] != FIRST_PART_LABEL + part)
+        away = _distance(labels[top:bottom, left:right] == FIRST_PART_LABEL + part)
         ring = (away > MARK_INNER) & (away <= MARK_OUTER)
         _blend(picture[top // PREVIEW_STEP :, left // PREVIEW_STEP :], ring, MARK, 100)
     return picture
@@ -72,8 +72,7 @@ def with_goals(picture: np.ndarray, view: View, mesh: Mesh, world_from_parts: Po
     for world_from_part in world_from_parts:
         shown = render(camera, view.world_from_camera, [(mesh, world_from_part)], threads=1).body_ids > 0
         inside |= shown
-        if shown.any():
-            outlines |= ~shown & (distance_transform_edt(~shown) <= GOAL_LINE)
+        outlines |= ~shown & (_distance(shown) <= GOAL_LINE)
     area = goals[top // PREVIEW_STEP :, left // PREVIEW_STEP :]
     _blend(area, inside & ~outlines, part_colour(part), GHOST)
     _blend(area, outlines, part_colour(part), 100)
@@ -94,6 +93,11 @@ def _window_of(mask: np.ndarray) -> list[tuple[int, int]]:
         first, last = (max(int(found[0]) - MARGIN, 0), int(found[-1]) + 1 + MARGIN) if len(found) else (0, 0)
         window.append((first // PREVIEW_STEP * PREVIEW_STEP, min(last, size) // PREVIEW_STEP * PREVIEW_STEP))
     return window
+
+
+def _distance(mask: np.ndarray) -> np.ndarray:
+    """(H, W) [px] from each pixel to a mask; infinite without one."""
+    return np.asarray(distance_transform_edt(~mask)) if mask.any() else np.full(mask.shape, np.inf)
 
 
 def _cell_means(image: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The commands `label` and `print`: from an own scene to a score, and wrong usage in one line."""
+"""The command `label`: from an own scene to a score, and wrong usage in one line."""
 
 from __future__ import annotations
 

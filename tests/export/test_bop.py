@@ -17,7 +17,7 @@ from scipy.spatial.distance import pdist
 from kit1000.camera import Camera, look_at
 from kit1000.dataset.schema import SceneTruth
 from kit1000.errors import InputError
-from kit1000.export import bop, export
+from kit1000.export import bop
 from kit1000.export.bop import DELTA, distances, gt_info, silhouette, stored_depth, visible_pixels, write_bop
 from kit1000.kits.assembly import AssemblyPlan, SidePlate, build_assembly
 from kit1000.mesh import Mesh, mesh_from_solid
@@ -105,7 +105,7 @@ def dataset() -> FakeDataset:
 @pytest.fixture(scope="module")
 def folder(dataset: FakeDataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("bop") / "data"
-    return export(dataset, "bop", out, ("test-s0001",), "test")  # type: ignore[arg-type]
+    return bop.write_bop(dataset, out, ("test-s0001",), "test")  # type: ignore[arg-type]
 
 
 @dataclass
@@ -331,7 +331,7 @@ def test_distance_is_along_the_ray() -> None:
 )
 def test_invalid_exports_are_refused_in_one_line(dataset: FakeDataset, asked: dict, said: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=f"^{said}"):
-        export(dataset, "bop", tmp_path / "out", **asked)  # type: ignore[arg-type]
+        bop.write_bop(dataset, tmp_path / "out", **asked)  # type: ignore[arg-type]
     assert list(tmp_path.iterdir()) == []
 
 

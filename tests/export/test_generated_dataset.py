@@ -26,7 +26,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 @pytest.mark.parametrize("sensor", ["ideal", "d415"])
 def test_bop_scenes_match_the_recorded_scenes(dataset: Dataset, sensor: str, tmp_path: Path) -> None:
-    export(dataset, "bop", tmp_path / "bop", sensor=sensor)
+    export(dataset.root, "bop", tmp_path / "bop", sensor=sensor)
     for split in ("train", "val", "test"):
         for number, recorded in enumerate(dataset.split(split, truth=True)):
             image = BopImage.read(tmp_path / f"bop/{split}/{number:06d}", 0)

@@ -60,6 +60,10 @@ def unit(*vector: float) -> np.ndarray:
     return np.array(vector) / np.linalg.norm(vector)
 
 
+def same(one: np.ndarray | None, other: np.ndarray | None) -> bool:
+    return one is not None and other is not None and np.array_equal(one, other)
+
+
 # What it is drawn from
 
 
@@ -70,7 +74,7 @@ def test_the_preview_follows_from_the_observation_file_alone(mini: Path, tmp_pat
         file = ObservationFile(alone)
         for scene_id in file.scene_ids:
             observation = replace(file.observation(scene_id), preview=None)
-            assert np.array_equal(scene_picture(observation), file.preview(scene_id))
+            assert same(scene_picture(observation), file.preview(scene_id))
 
 
 def test_only_depth_masks_and_which_parts_are_drawn_matter(recorded: list) -> None:
@@ -89,17 +93,15 @@ def test_only_depth_masks_and_which_parts_are_drawn_matter(recorded: list) -> No
 def test_the_preview_of_the_truth_follows_from_goals_and_mesh(recorded: list) -> None:
     for observation, truth, mesh in recorded:
         bare = with_previews(replace(observation, preview=None), replace(truth, preview=None), mesh)
-        assert np.array_equal(bare[0].preview, observation.preview)
-        assert np.array_equal(bare[1].preview, truth.preview)
+        assert same(bare[0].preview, observation.preview)
+        assert same(bare[1].preview, truth.preview)
 
 
 def test_an_observation_file_has_no_preview_of_the_goals(recorded: list, mini: Path) -> None:
-    for observation, truth, _ in recorded:
-        assert not np.array_equal(observation.preview, truth.preview)
     previews = {truth.preview.tobytes() for _, truth, _ in recorded}
     for path in mini.glob("*/[0-9][0-9][0-9][0-9].mcap"):
         file = ObservationFile(path)
-        assert {file.preview(scene_id).tobytes() for scene_id in file.scene_ids}.isdisjoint(previews)
+        assert previews.isdisjoint(np.asarray(file.preview(scene_id)).tobytes() for scene_id in file.scene_ids)
 
 
 def test_extra_views_have_no_preview(mini: Path) -> None:

@@ -20,7 +20,7 @@ from kit1000.errors import InputError
 from kit1000.pose import Pose
 from kit1000.queries.tracks import CURVES
 from kit1000.submission import Manifest, Predictions, Report, check, write_predictions, write_submission
-from kit1000.submission.check import coverage_faults
+from kit1000.submission.check import CHECKSUM_2_0_0, coverage_faults
 from kit1000.submission.expected_queries import ExpectedQueries
 from kit1000.submission.faults import Fault
 from kit1000.values import Prediction
@@ -206,6 +206,8 @@ def test_another_dataset_is_refused_and_another_copy_is_a_warning(
     report = check(tmp_path, mini)
     assert report.good
     assert "built on another machine" in only(report, "other-checksum")
+    write_submission(tmp_path, replace(manifest, dataset_checksum=CHECKSUM_2_0_0), truth)
+    assert check(tmp_path, mini).faults == ()  # other files of equal content
 
 
 def test_tracks_that_the_dataset_lacks_are_refused(
