@@ -18,7 +18,7 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import tyro
@@ -27,11 +27,11 @@ from PIL import Image
 from bench.measured import measured_dataset, run
 from bench.quality.camera_conditions import AZIMUTHS, orbited
 from benchmark.measurements import Column, Measurement, Table, rate
-from kit1000.capture.frame_selection import Selection
-from kit1000.capture.importing import Import, imported_scenes
+from kit1000.capture.importing import imported_scenes
 from kit1000.capture.mask_networks import networks_available
+from kit1000.capture.options import ImportOptions
 from kit1000.capture.own_folder import write_own_folder
-from kit1000.capture.own_scene import OwnScene, Wanted
+from kit1000.capture.own_scene import OwnScene
 from kit1000.dataset.mcap_io import ObservationWriter
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.dataset.schema import Observation
@@ -142,22 +142,27 @@ def _imported(scene: RecordedScene, name: str, folder: Path) -> OwnScene:
     """The scene that is imported from its image, saved as a format has it."""
     with tempfile.TemporaryDirectory(dir=folder) as temporary:
         source = Path(temporary)
-        intrinsics, selection = _saved(scene, name, source)
-        sources = (next(path for path in sorted(source.iterdir()) if path.suffix != ".json"),)
-        wanted = Wanted(device="D415", stream="raw", networks=networks_available())
-        (own,) = imported_scenes(Import(sources, source / "out", intrinsics, selection, wanted))
+        intrinsics = _saved(scene, name, source)
+        saved = next(path for path in sorted(source.iterdir()) if path.suffix != ".json")
+        (own,) = imported_scenes(_options((saved,), source / "out", intrinsics, device="D415", stream="raw"))
         return own
 
 
-def _saved(scene: RecordedScene, name: str, folder: Path) -> tuple[tuple[str, ...], Selection]:
-    """Write the image of a scene; returns the intrinsics to give, and which frame to take."""
+def _options(sources: Sequence[Path], out: Path, intrinsics: tuple[str, ...], **values: Any) -> ImportOptions:
+    """The options of an import whose masks are cut back by the networks, if torch is there."""
+    networks = networks_available()
+    return ImportOptions(sources=tuple(sources), out=out, intrinsics=intrinsics, networks=networks, **values)
+
+
+def _saved(scene: RecordedScene, name: str, folder: Path) -> tuple[str, ...]:
+    """Write the image of a scene; returns the intrinsics to give."""
     view = scene.view(SENSOR)
     camera = view.camera
     numbers = [camera.fx, camera.fy, camera.cx, camera.cy]
     if name == "foxglove":
         with ObservationWriter(folder / "scene.mcap") as writer:
             writer.add(Observation(scene.id, {SENSOR: view}))
-        return (), Selection()
+        return ()
     if name == "npy":
         np.save(folder / "depth.npy", view.depth)
     else:
@@ -165,7 +170,7 @@ def _saved(scene: RecordedScene, name: str, folder: Path) -> tuple[tuple[str, ..
     row = dict(zip(("fx", "fy", "ppx", "ppy"), numbers, strict=True)) | {"width": camera.width, "height": camera.height}
     units = {"mm-png": {"depth_units": MM}, "fine-png": {"depth_units": FINE}, "npy": {}}[name]
     (folder / "camera.json").write_text(json.dumps(row | units), encoding="utf-8")
-    return (str(folder / "camera.json"),), Selection()
+    return (str(folder / "camera.json"),)
 
 
 def _png(view: View, unit: float) -> bytes:
@@ -294,9 +299,8 @@ def _imported_from_places(scene: RecordedScene, folder: Path) -> list[OwnScene]:
             poses.append(stem.with_suffix(".json"))
         camera = scene.view(SENSOR).camera
         intrinsics = tuple(str(number) for number in (camera.fx, camera.fy, camera.cx, camera.cy))
-        wanted = Wanted(device="D415", stream="raw", networks=networks_available())
-        asked = Import(tuple(sources), Path(temporary) / "out", intrinsics, wanted=wanted, poses=tuple(poses))
-        return imported_scenes(replace(asked, one_scene=True))
+        given = {"device": "D415", "stream": "raw", "world_from_camera": tuple(poses), "one_scene": True}
+        return imported_scenes(_options(sources, Path(temporary) / "out", intrinsics, **given))
 
 
 def _view_from(scene: RecordedScene, azimuth: float, number: int) -> View:
@@ -314,8 +318,8 @@ def _add_images(table: Table, folder: Path) -> None:
         rows = list(csv.DictReader(file))
     for row in rows:
         intrinsics = tuple(row[name] for name in ("fx", "fy", "cx", "cy"))
-        wanted = Wanted(float(row["metres_a_unit"]), row["sensor"], networks=networks_available())
-        (own,) = imported_scenes(Import((folder / row["file"],), folder / "out", intrinsics, wanted=wanted))
+        given = {"depth_scale": float(row["metres_a_unit"]), "device": row["sensor"]}
+        (own,) = imported_scenes(_options((folder / row["file"],), folder / "out", intrinsics, **given))
         view = own.image.view
         fixed = calibrated_by(view, own.image.labels, own.facts).world_from_camera
         mask = row.get("foreground_mask")

@@ -1,9 +1,9 @@
-"""Depth images from files: 16-bit PNG and TIFF, .npy and .npz."""
+"""Depth images from files, in groups that make an image each: 16-bit PNG and TIFF, .npy, .npz, and recordings."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -11,16 +11,107 @@ import numpy as np
 from PIL import Image, ImageSequence
 
 from kit1000.capture.depth_frames import DepthFrame, check_size
-from kit1000.errors import InputError, Kit1000Error
+from kit1000.capture.options import ImportOptions
+from kit1000.errors import InputError, Kit1000Error, did_you_mean
+from kit1000.files import LFS_ADVICE, LFS_POINTER
 
 PICTURES = (".png", ".tif", ".tiff")
 ARRAYS = (".npy", ".npz")
 SUFFIXES = (*PICTURES, *ARRAYS)
+RECORDINGS = (".mcap", ".mcap.zst", ".mcap.zstd")
+ROSBAGS = "without ROS: pip install rosbags, then rosbags-convert --src {} --dst FOLDER --dst-storage mcap"
+ADVICE = {
+    ".db3": "a ROS 2 bag in SQLite is not read; convert it, " + ROSBAGS.format("ITS-FOLDER"),
+    ".bag": "a ROS 1 bag is not read; convert it, "
+    + ROSBAGS.format("FILE.bag")
+    + "; of the RealSense viewer: rs-convert -i FILE.bag -p depth",
+    ".ply": "a point cloud is not read: save depth as .npy, of an organised cloud its z",
+    ".pcd": "a point cloud is not read: save depth as .npy, of an organised cloud its z",
+    ".zdf": "a point cloud of Zivid is not read: save its z as .npy",
+    ".exr": "save depth as .npy or TIFF",
+    ".jpg": "JPEG holds 8 bits: save depth as 16-bit PNG",
+    ".jpeg": "JPEG holds 8 bits: save depth as 16-bit PNG",
+    ".zst": "a compressed file is not read: unpack it with zstd -d",
+    ".zstd": "a compressed file is not read: unpack it with zstd -d",
+}
 MODES = {"I;16", "I;16B", "I;16L", "I;16N", "I", "F"}  # of Pillow, with one channel and more than 8 bits
 NAMES = ("depth", "depth_image", "depths", "image", "arr_0")
 """Names of a depth image among several arrays of a .npz, in this order."""
 MOST_BYTES = 2_000_000_000
 MOST_FRAMES = 1000  # of a file
+
+
+def read_groups(sources: Sequence[Path], options: ImportOptions) -> list[list[DepthFrame]]:
+    """The frames of each scene: of each recording one group, of files one for each `frames` of them.
+
+    Args:
+        sources: files and folders.
+        options: which say what frames are taken; their own sources are not read.
+
+    Raises:
+        InputError: a source cannot be read.
+    """
+    groups: list[list[DepthFrame]] = []
+    single: list[DepthFrame] = []
+    for source in sources:
+        found = _recording(source)
+        if found is not None:
+            from kit1000.capture.recordings import read_recording
+
+            groups.append(read_recording(_checked_file(found), options))
+            continue
+        image = _checked_file(_image_file(source))
+        if options.topic is not None or options.first:
+            raise InputError(f"{image}: an image: --topic and --first choose among the images of recordings")
+        frames = read_depth_files(image)
+        if len(frames) > 1:
+            groups.append(frames)
+        else:
+            single += frames
+    count = options.frames
+    if single and len(single) % count:
+        raise InputError(f"--frames {count}: {len(single)} images do not make groups of {count}")
+    groups += [single[i : i + count] for i in range(0, len(single), count)]
+    return groups
+
+
+def _recording(source: Path) -> Path | None:
+    """The MCAP file of a source, or of a ROS 2 bag, which is a folder; None for anything else."""
+    if source.is_dir():
+        found = sorted(path for path in source.iterdir() if path.name.lower().endswith(RECORDINGS))
+        if len(found) == 1:
+            return found[0]
+        if found:
+            raise InputError(f"{source}: holds {len(found)} MCAP files; name one of them")
+        bags = (path.suffix for path in sorted(source.iterdir()) if path.suffix in (".db3", ".bag"))
+        other = ADVICE.get(next(bags, ""))
+        expected = f"name files: {', '.join((*SUFFIXES, *RECORDINGS))}"
+        raise InputError(f"{source}: a folder without an MCAP file; {other or expected}")
+    return source if source.name.lower().endswith(RECORDINGS) and source.is_file() else None
+
+
+def _image_file(source: Path) -> Path:
+    if not source.is_file():
+        near = [path.name for path in source.parent.iterdir()] if source.parent.is_dir() else []
+        raise InputError(f"{source}: no such file; {did_you_mean(source.name, near)}".rstrip("; "))
+    suffix = source.suffix.lower()
+    if suffix not in SUFFIXES:
+        name = f"{suffix} is not read" if suffix else "a file without suffix is not read"
+        expected = f"{name}; expected {', '.join((*SUFFIXES, *RECORDINGS))}"
+        raise InputError(f"{source}: {ADVICE.get(suffix, expected)}")
+    return source
+
+
+def _checked_file(path: Path) -> Path:
+    """A file that can be read, unless git-lfs left a pointer in its place."""
+    try:
+        with path.open("rb") as file:
+            start = file.read(len(LFS_POINTER))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    if start == LFS_POINTER:
+        raise InputError(f"{path}: {LFS_ADVICE}")
+    return path
 
 
 def read_depth_files(path: Path) -> list[DepthFrame]:

@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from kit1000.capture.intrinsics import Intrinsics
+from kit1000.capture.known_sensors import known_unit
 from kit1000.errors import InputError
 
 NEAREST, FARTHEST = 0.15, 4.0  # [m] median depths of tables that a camera sees well
-UNITS = {1e-3: "1 mm", 1e-4: "0.1 mm", 1e-2: "1 cm", 2.5e-4: "0.25 mm", 1.0: "1 m", 1e-5: "0.01 mm"}
+UNITS = {1e-3: "1 mm", 1e-4: "0.1 mm", 2e-4: "0.2 mm", 2.5e-4: "0.25 mm", 1e-2: "1 cm", 1.0: "1 m", 1e-5: "0.01 mm"}
 """[m] that 1 in an image may stand for, the usual ones first."""
-SATURATED = 65535  # of 16 bits: no return, by many drivers
+SATURATED = 65535  # of 16 bits: many drivers write it for a pixel without a return
 MOST_PIXELS = 30_000_000
 LEAST_SIDE = 64  # [px] of an image
 LEAST_RETURNS = 0.02  # share of the pixels
+
+
+class UnlikelyDepth(InputError):
+    """The depths of an image are not those of a table in view."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,11 +29,11 @@ class DepthFrame:
     """One frame as it was stored."""
 
     values: np.ndarray
-    """(H, W) unsigned integers or floats, 0 or not finite: no return."""
+    """(H, W) unsigned integers or floats; 0 or not finite: no return."""
     source: str
-    """File, and topic where it has several, for messages."""
+    """The file, and its topic if it has several, for messages."""
     unit: float | None = None
-    """[m] that 1 stands for, where the format says so."""
+    """[m] that 1 stands for, if the format says so."""
     intrinsics: Intrinsics | None = None
     """Intrinsics that came with it."""
 
@@ -38,10 +43,22 @@ class DepthFrame:
             object.__setattr__(self, "values", values[..., 0])
         check_values(self.values, self.source)
 
+    @property
+    def integers(self) -> bool:
+        """Whether the values are integers, of a unit that is not 1 m."""
+        return self.values.dtype.kind in "iu"
+
+    @property
+    def with_swapped_bytes(self) -> DepthFrame:
+        """The frame of integers in the other order of bytes."""
+        return replace(self, values=self.values.astype(np.uint16).byteswap())
+
 
 def check_values(values: np.ndarray, source: str) -> None:
-    """Raise InputError where an array cannot be a depth image."""
+    """Raise InputError if an array cannot be a depth image."""
     shape = " x ".join(map(str, values.shape)) or "one number"
+    if values.ndim == 3 and values.shape[-1] in (3, 4) and values.dtype.kind == "f":
+        raise InputError(f"{source}: an organised point cloud of {shape}: save its z alone, values[..., 2]")
     if values.ndim == 3 and values.shape[-1] in (2, 3, 4):
         raise InputError(f"{source}: {values.shape[-1]} channels, expected one: a colour picture, not depths")
     if values.ndim != 2:
@@ -54,28 +71,36 @@ def check_values(values: np.ndarray, source: str) -> None:
 
 
 def check_size(shape: tuple[int, ...], source: str) -> None:
-    """Raise InputError where an image of a shape (H, W) is too small or too large for a depth image."""
+    """Raise InputError if an image of a shape (H, W) is too small or too large for a depth image."""
     if min(shape) < LEAST_SIDE or shape[0] * shape[1] > MOST_PIXELS:
         size = " x ".join(map(str, shape))
         raise InputError(f"{source}: {size} px, expected rows and columns from {LEAST_SIDE} up, at most 30 megapixels")
 
 
-def metric_depth(frame: DepthFrame, scale: float | None = None) -> np.ndarray:
+def stated_unit(frame: DepthFrame, known: Intrinsics, scale: float | None, device: str) -> float | None:
+    """[m] that 1 in a frame stands for: as the user, the files or the camera's name say; None if none of them does."""
+    return scale or known.unit or frame.unit or (known_unit(device or known.device) if frame.integers else 1.0)
+
+
+def assumed_unit(frame: DepthFrame) -> float:
+    """[m] that 1 in a frame stands for, if nothing states it."""
+    return 1e-3 if frame.integers else 1.0
+
+
+def metric_depth(frame: DepthFrame, unit: float) -> np.ndarray:
     """(H, W) float32 [m] the depths of a frame, 0 without a return.
 
     Args:
         frame: as stored.
-        scale: [m] that 1 stands for; None: as the file says, else 1 mm for integers and 1 m for floats.
+        unit: [m] that 1 stands for.
 
     Raises:
-        InputError: hardly any pixel has a return, or the median depth is not that of a table; names the unit that fits.
+        InputError: hardly any pixel has a return.
+        UnlikelyDepth: the median depth is not that of a table.
     """
     values = frame.values
-    integers = values.dtype.kind in "iu"
-    stated = frame.unit or (frame.intrinsics.unit if frame.intrinsics is not None else None)
-    unit = scale or stated or (1e-3 if integers else 1.0)
     known = np.isfinite(values) & (values > 0)
-    if integers:
+    if frame.integers:
         known &= values != SATURATED
     share = np.count_nonzero(known) / values.size
     if share < LEAST_RETURNS:
@@ -84,12 +109,12 @@ def metric_depth(frame: DepthFrame, scale: float | None = None) -> np.ndarray:
     depth = np.where(known, values, 0).astype(np.float64) * unit
     middle = float(np.median(depth[known]))
     if not NEAREST <= middle <= FARTHEST:
-        raise InputError(f"{frame.source}: median depth {middle:.4g} m, expected 0.15 to 4{_fitting(middle / unit)}")
+        raise UnlikelyDepth(f"{frame.source}: median depth {middle:.4g} m, expected {NEAREST:g} to {FARTHEST:g}")
     return np.where(depth < 10 * FARTHEST, depth, 0).astype(np.float32)
 
 
 def mean_depth(depths: Sequence[np.ndarray]) -> np.ndarray:
-    """(H, W) float32 [m]: the median of depths (H, W), where a pixel is seen in more than half of them; 0 elsewhere."""
+    """(H, W) float32 [m]: the median of depths (H, W) if more than half of them see a pixel; 0 elsewhere."""
     if len(depths) == 1:
         return depths[0]
     stack = np.stack(depths)
@@ -99,12 +124,3 @@ def mean_depth(depths: Sequence[np.ndarray]) -> np.ndarray:
     middle = np.zeros(often.shape, np.float32)
     middle[often] = np.nanmedian(values[:, often], axis=0)
     return middle
-
-
-def _fitting(middle: float) -> str:
-    """The unit that makes a median of stored values a likely depth, as the end of a message."""
-    fits = (unit for unit in UNITS if NEAREST <= middle * unit <= FARTHEST)
-    unit = next(fits, None)
-    if unit is None:
-        return ": no usual unit fits: is it a depth image?"
-    return f"; in units of {UNITS[unit]} it would be {middle * unit:.2f} m: --depth-scale {unit:g}"

@@ -12,6 +12,7 @@ from kit1000.sim.sensors import Stream
 
 SHORTEST_FOCAL, LONGEST_FOCAL = 0.2, 20.0  # [widths of the image]: it sees 136 to 3 degrees
 MOST_RATIO = 1.5  # of focal lengths
+MOST_OFF_CENTRE = 0.35  # of the image's sides, from its middle to the principal point
 NO_DISTORTION = 1e-9  # largest coefficient that is none
 FORWARD_MODELS = {"plumb_bob": 5, "rational_polynomial": 8}
 """Models of OpenCV that map where a point is to where it is seen, and their largest number of coefficients."""
@@ -29,19 +30,19 @@ class Intrinsics:
     """From the centre of the first pixel."""
     cy: float
     size: tuple[int, int] | None = None
-    """Width and height of the image that they belong to [px]; None where they are not stated."""
+    """Width and height of the image that they belong to [px]; None if they are not stated."""
     unit: float | None = None
-    """[m] that 1 in the image stands for; None where it is not stated."""
+    """[m] that 1 in the image stands for; None if it is not stated."""
     model: str = "plumb_bob"
     """Name of the distortion model."""
     coefficients: tuple[float, ...] = ()
     """Coefficients of the distortion; empty or 0: there is none."""
     device: str = ""
-    """Name of the camera, where it is stated."""
+    """Name of the camera, if it is stated."""
     baseline: float | None = None
-    """[m] between its imagers, where it is stated."""
+    """[m] between its imagers, if it is stated."""
     stream: Stream | None = None
-    """raw: the depth camera's own stream; aligned: resampled to another camera; None where it is not stated."""
+    """raw: the depth camera's own stream; aligned: resampled to another camera; None if it is not stated."""
     source: str = "--intrinsics"
     """The file, for messages."""
 
@@ -71,8 +72,8 @@ class Intrinsics:
     def camera(self, shape: tuple[int, ...], image: str) -> Camera:
         """The pinhole camera of an image of a shape (H, W), its name for the message.
 
-        Raises InputError where the intrinsics are of another size, their centre is outside the image, or their focal
-        lengths are those of no depth camera.
+        Raises InputError if the intrinsics are of another size, their principal point is far from the middle, or their
+        focal lengths are those of no depth camera.
         """
         height, width = shape
         if self.size is not None and self.size != (width, height):
@@ -87,10 +88,12 @@ class Intrinsics:
                 f"{self.source}: focal lengths {self.fx:g}, {self.fy:g} px, {image} is {width} px wide: expected two "
                 f"alike, {shortest:.0f} to {longest:.0f} px: are they in mm, or in another order than fx fy cx cy?"
             )
-        if not (0 <= self.cx <= width and 0 <= self.cy <= height):
+        across, down = self.cx / width - 0.5, self.cy / height - 0.5
+        if max(abs(across), abs(down)) > MOST_OFF_CENTRE:
             raise InputError(
-                f"{self.source}: principal point {self.cx:g}, {self.cy:g} is outside {image} of {width} x {height} px: "
-                "are they of another stream?"
+                f"{self.source}: principal point {self.cx:g}, {self.cy:g} of {image}, {width} x {height} px, is "
+                f"{100 * across:.0f} % of its width and {100 * down:.0f} % of its height off the middle, expected "
+                f"up to {100 * MOST_OFF_CENTRE:.0f}: are they of another stream, or is the image cropped?"
             )
         return Camera(width, height, self.fx, self.fy, self.cx, self.cy)
 

@@ -1,4 +1,4 @@
-"""Facts about depth cameras by their names, and the value that holds those of an image's own sensor."""
+"""Facts about depth cameras by their names."""
 
 from __future__ import annotations
 
@@ -12,13 +12,21 @@ BASELINES = {  # [m] from the data sheets
     "D455": 0.095,
     "D456": 0.095,
 }
+UNITS = {"D405": 1e-4}  # [m] that 1 stands for, if it is not 1 mm
+MILLIMETRES = re.compile(r"D4[0-9]{2}|kinect|l515|orbbec|femto|gemini|zed|oak", re.IGNORECASE)
 SCANNERS = re.compile(r"phoxi|photoneo|structured.?light", re.IGNORECASE)
 TIME_OF_FLIGHT = re.compile(r"kinect|l515|femto|tof|picoflexx", re.IGNORECASE)
 
 
 def known_baseline(device: str) -> float | None:
-    """[m] between the imagers of a camera of this name, such as Intel RealSense D435i; None where it is not known."""
+    """[m] between the imagers of a camera of this name, such as Intel RealSense D435i; None if it is not known."""
     return next((baseline for name, baseline in BASELINES.items() if name in device.upper()), None)
+
+
+def known_unit(device: str) -> float | None:
+    """[m] that 1 in an image of integers stands for, by the name of the camera; None if it is not known."""
+    special = next((unit for name, unit in UNITS.items() if name in device.upper()), None)
+    return special or (1e-3 if MILLIMETRES.search(device) else None)
 
 
 def is_scanner(device: str) -> bool:

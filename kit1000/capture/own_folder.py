@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from kit1000.capture.options import LICENCE
 from kit1000.capture.own_scene import OwnScene
 from kit1000.dataset.mcap_io import ObservationWriter
 from kit1000.dataset.own_scenes import OWN, PLACES, TABLES
@@ -20,7 +21,6 @@ from kit1000.queries.pivots import part_pivots
 from kit1000.queries.tracks import query_id
 
 TASKS = ("snap", "place")  # whose tracks are named by them and the key of the view
-LICENCE = "the user's own"
 PRESET = DATA_VERSION = "own"
 ID_DIGITS = 16
 SHAPES = ("parts.json", "kits.json", "assemblies.json")

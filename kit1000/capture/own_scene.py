@@ -8,45 +8,28 @@ from pathlib import Path
 
 import numpy as np
 
-from kit1000.capture.depth_frames import DepthFrame, mean_depth, metric_depth
+from kit1000.capture.depth_frames import DepthFrame, assumed_unit, stated_unit
+from kit1000.capture.depth_readings import check_assumed_unit, image_and_table
 from kit1000.capture.intrinsics import Intrinsics
 from kit1000.capture.known_sensors import is_scanner, known_baseline
 from kit1000.capture.mask_networks import cut_back
-from kit1000.capture.own_world import OwnWorld, read_pose, world_of_bodies, world_of_pose
-from kit1000.capture.pinhole_images import PinholeImage, pinhole_image
+from kit1000.capture.options import ImportOptions
+from kit1000.capture.own_world import OwnWorld, world_of_bodies, world_of_pose
+from kit1000.capture.pinhole_images import PinholeImage
 from kit1000.capture.seen_bodies import SeenBody, seen_bodies
-from kit1000.capture.table_search import Table, find_table
+from kit1000.capture.table_search import Table
+from kit1000.dataset.pose_files import read_pose
 from kit1000.errors import InputError
 from kit1000.perception.sensor_facts import D415, SCANNER, SensorFacts
-from kit1000.sim.sensors import Stream, on_depth_grid
+from kit1000.sim.sensors import on_depth_grid
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, View
 
 UNKNOWN_DEVICE = "depth camera"
 
 
-@dataclass(frozen=True)
-class Wanted:
-    """What the user says about the images."""
-
-    depth_scale: float | None = None
-    """[m] that 1 in an image stands for; None: as the files say."""
-    device: str = ""
-    """Name of the camera; empty: as the files say. It tells a structured-light scanner from a stereo camera."""
-    baseline: float | None = None
-    """[m] between its imagers; None: by the name."""
-    stream: Stream | None = None
-    """None: as the files say, else raw of a scanner and aligned of other cameras."""
-    kit: int = 1
-    """Number of the body that is the kit, the largest first, from 1."""
-    world_from_camera: Path | None = None
-    """JSON file of a hand-eye pose."""
-    networks: bool = False
-    """Whether the networks of segmentation cut the masks back."""
-
-
 @dataclass(frozen=True, eq=False)
 class OwnScene:
-    """A scene."""
+    """What the frames of one image show."""
 
     source: str
     table: Table
@@ -56,6 +39,8 @@ class OwnScene:
     image: LabelledDepth
     """In that world, with masks, depths on the grid of recordings."""
     facts: SensorFacts
+    intrinsics: str
+    """Where the intrinsics come from."""
 
     @property
     def kit(self) -> SeenBody:
@@ -68,6 +53,11 @@ class OwnScene:
         corners = self.table.outline @ self.table.axes[:2] - self.table.distance * self.table.axes[2]
         return self.world.world_from_camera.apply(corners)[:, :2]
 
+    def place(self, body: SeenBody) -> np.ndarray:
+        """(2,) [m] world: the middle of a body on the table."""
+        axes, distance = self.table.axes, self.table.distance
+        return self.world.world_from_camera.apply(body.centre @ axes[:2] - distance * axes[2])[:2]
+
     @property
     def parts(self) -> tuple[SeenBody, ...]:
         """The other bodies."""
@@ -75,35 +65,49 @@ class OwnScene:
 
 
 def own_scene(
-    frames: Sequence[DepthFrame], intrinsics: Intrinsics | None, wanted: Wanted, empty: Table | None = None
+    frames: Sequence[DepthFrame],
+    intrinsics: Intrinsics | None,
+    options: ImportOptions,
+    pose: Path | None = None,
+    empty: Table | None = None,
 ) -> OwnScene:
     """The scene that frames of a camera at rest show.
 
     Args:
-        frames: of one size, averaged.
+        frames: of one size; their median is taken.
         intrinsics: those given; None: the first frame brings its own.
-        wanted: what the user says.
+        options: what the user says.
+        pose: file of the hand-eye pose; None: the world follows from the bodies.
         empty: the table as the same camera sees it without bodies; None: it is found in the image itself.
 
     Raises:
-        InputError: in one line, where the image shows no table or no bodies on it.
+        InputError: in one line, if the image shows no table or no bodies on it, or if a stated value does not fit it.
     """
-    source = frames[0].source
-    known = frame_intrinsics(frames[0], intrinsics)
-    image = image_of_frames(frames, known, wanted.depth_scale)
-    table, floor = _table(image, source, empty)
+    source, first = frames[0].source, frames[0]
+    known = frame_intrinsics(first, intrinsics)
+    stated = stated_unit(first, known, options.depth_scale, options.device)
+    unit = stated or assumed_unit(first)
+    image, table = image_and_table(frames, known, unit)
+    floor = None
+    if empty is not None:
+        table, floor = _on_empty_table(image, source, empty)
     bodies = seen_bodies(table, floor)
-    chosen = _with_kit_first(bodies.sure, wanted.kit, source, table)
-    facts = _facts(frames[0], known, image, table, wanted)
-    if wanted.networks:
+    chosen = _with_kit_first(bodies.sure, options.kit, source, table)
+    if stated is None and first.integers:
+        check_assumed_unit(source, unit, table.distance, chosen[0].sides)
+    facts = _facts(first, known, image, table, options, unit)
+    if options.networks:
         kit, parts = cut_back(table, on_depth_grid(image.depth), chosen, bodies.doubtful, facts)
         chosen = [kit, *parts]
-    world = _world(table, chosen, wanted)
+    if pose is None:
+        world = world_of_bodies(table, chosen[0], chosen[1:])
+    else:
+        world = world_of_pose(table, read_pose(pose), str(pose))
     labels = np.zeros(image.depth.shape, np.uint8)
     for number, body in enumerate(chosen):
         labels[body.mask] = ASSEMBLY_LABEL if number == 0 else FIRST_PART_LABEL + number - 1
     view = View(image.camera, world.world_from_camera, on_depth_grid(image.depth))
-    return OwnScene(source, table, tuple(chosen), world, LabelledDepth(view, labels), facts)
+    return OwnScene(source, table, tuple(chosen), world, LabelledDepth(view, labels), facts, known.source)
 
 
 def frame_intrinsics(frame: DepthFrame, given: Intrinsics | None) -> Intrinsics:
@@ -116,20 +120,8 @@ def frame_intrinsics(frame: DepthFrame, given: Intrinsics | None) -> Intrinsics:
     return known
 
 
-def image_of_frames(frames: Sequence[DepthFrame], known: Intrinsics, scale: float | None) -> PinholeImage:
-    """One image of several frames, without distortion."""
-    first = frames[0].values.shape
-    for frame in frames[1:]:
-        if frame.values.shape != first:
-            raise InputError(f"{frame.source}: {frame.values.shape[::-1]} px, the first frame has {first[::-1]}")
-    unit = scale or known.unit
-    return pinhole_image(mean_depth([metric_depth(frame, unit) for frame in frames]), known, frames[0].source)
-
-
-def _table(image: PinholeImage, source: str, empty: Table | None) -> tuple[Table, np.ndarray | None]:
-    """The table of an image, and the heights that it has without bodies, where that is known."""
-    if empty is None:
-        return find_table(image, source), None
+def _on_empty_table(image: PinholeImage, source: str, empty: Table) -> tuple[Table, np.ndarray]:
+    """The table of an image as it was without bodies, and its heights there."""
     if empty.image.camera != image.camera:
         raise InputError(f"--empty-table: of another camera or size than {source}: take both with the same settings")
     return replace(empty, image=image), empty.flat_heights
@@ -147,28 +139,23 @@ def _with_kit_first(bodies: list[SeenBody], kit: int, source: str, table: Table)
     return [bodies[kit - 1], *bodies[: kit - 1], *bodies[kit:]]
 
 
-def _world(table: Table, bodies: Sequence[SeenBody], wanted: Wanted) -> OwnWorld:
-    if wanted.world_from_camera is None:
-        return world_of_bodies(table, bodies[0], bodies[1:])
-    return world_of_pose(table, read_pose(wanted.world_from_camera), str(wanted.world_from_camera))
-
-
-def _facts(frame: DepthFrame, known: Intrinsics, image: PinholeImage, table: Table, wanted: Wanted) -> SensorFacts:
+def _facts(
+    frame: DepthFrame, known: Intrinsics, image: PinholeImage, table: Table, options: ImportOptions, unit: float
+) -> SensorFacts:
     """The facts about the sensor: as the user says, else the files, else its name."""
-    device = wanted.device or known.device or UNKNOWN_DEVICE
+    device = options.device or known.device or UNKNOWN_DEVICE
     scanner = is_scanner(device)
     model = SCANNER if scanner else D415
-    baseline = wanted.baseline or known.baseline or known_baseline(device) or model.baseline
-    integers = frame.values.dtype.kind in "iu"
-    unit = wanted.depth_scale or known.unit or frame.unit or (1e-3 if integers else 0.0)
+    stated = None if options.baseline_mm is None else 1e-3 * options.baseline_mm
+    baseline = stated or known.baseline or known_baseline(device) or model.baseline
     return SensorFacts(
         device=device,
         baseline=baseline,
         fattening_px=model.fattening_px,
         focal_length=known.fx,
-        unit=unit,
+        unit=unit if frame.integers or unit != 1.0 else 0.0,
         noise_px=round(float(image.camera.fx * baseline * table.spread), 4),
-        stream=wanted.stream or known.stream or ("raw" if scanner else "aligned"),
+        stream=options.stream or known.stream or ("raw" if scanner else "aligned"),
         simulated_table=False,
         scanner=scanner,
     )

@@ -4,21 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
+from kit1000.capture.camera_poses import check_world_pose, tilt_deg
 from kit1000.capture.seen_bodies import SeenBody
 from kit1000.capture.table_search import Table
-from kit1000.dataset.pose_files import stated_pose
-from kit1000.errors import InputError
-from kit1000.files import read_json
 from kit1000.pose import Pose, quaternion_between
 
-DIRECTIONS = 360  # of the line that parts kit and parts
+DIRECTIONS = 360  # of the line between kit and parts
 KITS_PLACE = 0.2  # [m] from the origin to the middle of the kit, where there are no parts
 SAME_GAP = 2e-3  # [m] gaps up to this much narrower than the widest are as good
-MOST_OFF, MOST_TILT_DEG = 25e-3, 5.0  # [m] from the plane z = 0 and from level, of the table in the user's frame
 TRIMMED = 0.01  # share of a body's points beyond either side of the line
 
 
@@ -28,13 +24,13 @@ class OwnWorld:
 
     world_from_camera: Pose
     gap: float | None
-    """[m] between kit and parts along y; below 0: no line parts them; None: there are no parts, or a pose was given."""
+    """[m] between kit and parts along y; below 0: no line separates them; None: no parts, or a pose was given."""
     moved: tuple[float, float] = (0.0, 0.0)
     """[m] and degrees by which a given pose was corrected, so that the table is at z = 0."""
 
 
 def world_of_bodies(table: Table, kit: SeenBody, parts: Sequence[SeenBody]) -> OwnWorld:
-    """The world whose line y = 0 best parts the kit from the parts, its origin in the gap."""
+    """The world whose line y = 0 best separates the kit from the parts, with its origin in the gap."""
     angles = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
     directions = np.stack([np.cos(angles), np.sin(angles)], -1)
     kit_feet = table.ground(kit.mask)
@@ -54,33 +50,15 @@ def world_of_bodies(table: Table, kit: SeenBody, parts: Sequence[SeenBody]) -> O
 
 
 def world_of_pose(table: Table, given: Pose, source: str) -> OwnWorld:
-    """The user's own frame: a given pose, turned and lifted so little that the seen table is its plane z = 0.
+    """The user's own frame: a given pose, rotated and lifted so little that the seen table is its plane z = 0.
 
-    Raises InputError where the table is not near that plane.
+    Raises InputError if the table is not near that plane.
     """
-    up, z = given.rotate(table.up), given.xyz[2]
-    tilt = float(np.degrees(np.arccos(np.clip(up[2], -1, 1))))
-    if tilt > MOST_TILT_DEG:
-        raise InputError(
-            f"{source}: with this pose the table is tilted by {tilt:.1f}°, expected up to {MOST_TILT_DEG:g}: "
-            "give world_from_camera (x right, y down, z forward), z of the world up"
-        )
-    turned = Pose(quaternion_between(up, (0.0, 0.0, 1.0)), np.zeros(3))
-    lifted = table.distance
-    if abs(lifted - z) > MOST_OFF:
-        raise InputError(
-            f"{source}: with this pose the table is at z = {1e3 * (z - lifted):.0f} mm, expected 0: "
-            f"subtract {z - lifted:.4f} from its z"
-        )
-    rotation = Pose(turned.wxyz, np.zeros(3)) @ Pose(given.wxyz, np.zeros(3))
-    pose = Pose(rotation.wxyz, np.array([given.xyz[0], given.xyz[1], lifted]))
-    return OwnWorld(pose, None, (float(lifted - z), tilt))
-
-
-def read_pose(path: Path) -> Pose:
-    """The pose world_from_camera of a JSON file. Raises InputError for anything else."""
-    value = read_json(path)
-    return stated_pose(value.get("world_from_camera", value) if isinstance(value, dict) else value, str(path))
+    check_world_pose(given, table.up, table.distance, source)
+    leveled = Pose(quaternion_between(given.rotate(table.up), (0.0, 0.0, 1.0)), np.zeros(3))
+    rotation = leveled @ Pose(given.wxyz, np.zeros(3))
+    pose = Pose(rotation.wxyz, np.array([given.xyz[0], given.xyz[1], table.distance]))
+    return OwnWorld(pose, None, (float(table.distance - given.xyz[2]), tilt_deg(given, table.up)))
 
 
 def _pose(table: Table, towards: np.ndarray, origin: np.ndarray) -> Pose:

@@ -36,6 +36,7 @@ CAMERA_SCHEMAS = (
     "foxglove_msgs/msg/CameraCalibration",
 )
 PACKED_HEADER = struct.Struct("<iff")  # of compressedDepth: kind, and two numbers that quantise floats
+LEAST_SHIFT = 0.5  # [px] between K and P, of which they are two matrices
 PNG = b"\x89PNG\r\n\x1a\n"
 
 
@@ -49,29 +50,47 @@ def is_depth(message: Any, schema: str) -> bool:
     return data.startswith(PNG) and data[24:26] == b"\x10\x00"  # 16 bits of grey
 
 
-def frame_of(message: Any, schema: str, source: str, intrinsics: Intrinsics | None) -> DepthFrame:
-    """The frame of a message. Raises InputError where its bytes do not fit its size."""
+def frame_of(message: Any, schema: str, source: str) -> DepthFrame:
+    """The frame of a message. Raises InputError if its bytes do not fit its size."""
     values = _raw_values(message, source) if schema in RAW_SCHEMAS else _packed_values(message, source)
     unit = UNITS["f4" if values.dtype.kind == "f" else "u2"]
-    return DepthFrame(values, source, unit, intrinsics)
+    return DepthFrame(values, source, unit)
 
 
 def intrinsics_of(message: Any, source: str, topic: str) -> Intrinsics:
-    """The intrinsics of a calibration, of a depth topic, whose name may say which stream it is."""
-    matrix = np.array(list(message.k if hasattr(message, "k") else message.K), float)
-    if matrix.size != 9 or matrix[0] <= 0:
-        raise InputError(f"{source}: is not calibrated (K is {matrix.tolist()}); give --intrinsics")
+    """The intrinsics of a calibration, of a depth topic, whose name may say which stream it is.
+
+    Images that were rectified have the matrix P and no distortion, others K and D.
+
+    Raises:
+        InputError: it is not calibrated, its image is binned, or nothing says whether the image was rectified.
+    """
+    k, coefficients = np.array(_field(message, "k"), float), tuple(float(value) for value in _field(message, "d"))
+    if k.size != 9 or k[0] <= 0:
+        raise InputError(f"{source}: is not calibrated (K is {k.tolist()}); give --intrinsics")
     binning = max(int(getattr(message, "binning_x", 0)), int(getattr(message, "binning_y", 0)))
     if binning > 1:
         raise InputError(
             f"{source}: its image is binned {binning} times; record it without binning, or give --intrinsics"
         )
-    coefficients = tuple(float(value) for value in (message.d if hasattr(message, "d") else message.D))
+    p = np.array(_field(message, "p"), float).reshape(-1)
+    rectified = np.array([p[0], p[5], p[2], p[6]]) if p.size == 12 and p[0] > 0 else None
+    raw = k[[0, 4, 2, 5]]
+    matrix = raw
+    if rectified is not None and (any(coefficients) or not np.allclose(rectified, raw, atol=LEAST_SHIFT)):
+        if _is_rectified(topic) is None:
+            raise InputError(
+                f"{source}: K with distortion is of the raw image (fx {raw[0]:.1f}), P of the rectified one (fx "
+                f"{rectified[0]:.1f}), and the name of {topic} says neither; give --intrinsics of the image"
+            )
+        if _is_rectified(topic):
+            matrix, coefficients = rectified, ()
+    fx, fy, cx, cy = matrix.tolist()
     return Intrinsics(
-        fx=float(matrix[0]),
-        fy=float(matrix[4]),
-        cx=float(matrix[2]),
-        cy=float(matrix[5]),
+        fx,
+        fy,
+        cx,
+        cy,
         size=(int(message.width), int(message.height)),
         model=str(message.distortion_model) or "plumb_bob",
         coefficients=coefficients,
@@ -79,6 +98,20 @@ def intrinsics_of(message: Any, source: str, topic: str) -> Intrinsics:
         stream=_stream_of(topic),
         source=source,
     )
+
+
+def _field(message: Any, name: str) -> list[float]:
+    """The numbers of a calibration's field, whose name is a capital in Foxglove's schemas."""
+    value = getattr(message, name, None)
+    return list(getattr(message, name.upper(), ()) if value is None else value)
+
+
+def _is_rectified(topic: str) -> bool | None:
+    """Whether an image was rectified, by the name of its topic; None if the name does not say."""
+    names = topic.lower().split("/")
+    if any("rect" in name and "unrect" not in name for name in names):
+        return True
+    return False if any(name.startswith(("image_raw", "depth_raw", "unrect")) for name in names) else None
 
 
 def frame_id_of(message: Any) -> str:

@@ -13,7 +13,7 @@ from kit1000.errors import InputError
 
 MUCH_RIPPLE = 2e-3  # [m] from which on fits are unsure
 MOST_LISTED = 12  # bodies
-MOST_OFF_CENTRE = 0.15  # of the image's sides, from its middle to the principal point
+UNUSUAL_OFF_CENTRE = 0.15  # of the image's sides, from its middle to the principal point
 SAME_SIZE = 0.15  # by which a side of --check may differ, and
 SAME_LENGTH = 6e-3  # [m] by which at least
 SHORTEST, LONGEST = 1e-3, 2.0  # [m] of its sides
@@ -26,6 +26,7 @@ def report(scene: OwnScene, clearance: float | None) -> Iterator[str]:
         f"{scene.source}: table {100 * table.share:.0f} % of the image, camera {100 * table.distance:.0f} cm above it, "
         f"seen {table.tilt_deg:.0f}° from straight above, ripple {1e3 * table.ripple:.1f} mm ({facts.noise_px:.2f} px)"
     )
+    yield f"  intrinsics: {scene.intrinsics}" + (f"; 1 in the image is {1e3 * facts.unit:g} mm" if facts.unit else "")
     numbers = {id(body): n for n, body in enumerate(sorted(scene.bodies, key=lambda body: -body.area), start=1)}
     for place, body in enumerate(scene.bodies[:MOST_LISTED]):
         name = "kit" if place == 0 else f"part {place - 1}, {place} on the page"
@@ -35,7 +36,7 @@ def report(scene: OwnScene, clearance: float | None) -> Iterator[str]:
     yield "  measure one of them with a ruler: wrong intrinsics or units show here"
     yield from (f"  note: {note}" for note in _notes(scene, clearance))
     if world.gap is not None and world.gap <= 0:
-        yield "  note: no line parts the kit from all parts: move them apart, masks by networks are left out"
+        yield "  note: no line separates the kit from all parts: move them apart; masks by networks are left out"
 
 
 def body_text(body: SeenBody) -> str:
@@ -105,7 +106,7 @@ def _notes(scene: OwnScene, clearance: float | None) -> Iterator[str]:
         )
     camera = table.image.camera
     off = max(abs(camera.cx / camera.width - 0.5), abs(camera.cy / camera.height - 0.5))
-    if off > MOST_OFF_CENTRE:
+    if off > UNUSUAL_OFF_CENTRE:
         yield (
             f"principal point {100 * off:.0f} % of the image from its middle: are the intrinsics of this size, or is "
             "the image cropped?"

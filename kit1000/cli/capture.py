@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -14,7 +14,7 @@ from kit1000.errors import InputError
 from kit1000.files import read_json
 
 if TYPE_CHECKING:
-    from kit1000.capture.importing import Import
+    from kit1000.capture.options import ImportOptions
 
 Stream = Literal["raw", "aligned"]
 Masks = Literal["depth", "networks"]
@@ -69,20 +69,16 @@ class OwnImages:
         given = [field.name for field in fields(OwnImages) if getattr(self, field.name) != field.default]
         return [f"--{name.replace('_', '-')}" for name in given]
 
-    def asked(self, sources: tuple[Path, ...], out: Path, licence: str | None = None) -> Import:
+    def asked(self, sources: tuple[Path, ...], out: Path, licence: str = "", one_scene: bool = False) -> ImportOptions:
         """The import that these options describe."""
-        from kit1000.capture.frame_selection import Selection
-        from kit1000.capture.importing import Import
         from kit1000.capture.mask_networks import networks_available
-        from kit1000.capture.own_folder import LICENCE
-        from kit1000.capture.own_scene import Wanted
+        from kit1000.capture.options import LICENCE, ImportOptions
 
-        baseline = None if self.baseline_mm is None else 1e-3 * self.baseline_mm
-        networks = self.masks == "networks" or (self.masks is None and networks_available())
-        wanted = Wanted(self.depth_scale, self.device, baseline, self.stream, self.kit, networks=networks)
-        selection = Selection(self.frames, self.first, self.topic)
-        rest = (self.empty_table, self.clearance_mm, self.check, licence or LICENCE)
-        return Import(sources, out, self.intrinsics, selection, wanted, self.world_from_camera, *rest)
+        values = {field.name: getattr(self, field.name) for field in fields(OwnImages)}
+        masks = values.pop("masks")
+        networks = masks == "networks" or (masks is None and networks_available())
+        rest = {"networks": networks, "licence": licence or LICENCE, "one_scene": one_scene}
+        return ImportOptions(sources=sources, out=out, **values, **rest)
 
 
 @dataclass(frozen=True)
@@ -103,7 +99,7 @@ class ImportImages(OwnImages):
         from kit1000.capture.importing import default_folder, import_scenes
 
         out = self.out or default_folder(self.sources)
-        for line in import_scenes(replace(self.asked(self.sources, out, self.licence), one_scene=self.one_scene)):
+        for line in import_scenes(self.asked(self.sources, out, self.licence, self.one_scene)):
             print(line)
         print(f"{out}: open it with kit1000 edit {out}")
         return 0

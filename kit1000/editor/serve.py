@@ -24,6 +24,7 @@ from unittest import mock
 import viser
 import websockets.asyncio.server as websocket_server
 
+from kit1000.capture.camera_poses import check_base_pose
 from kit1000.dataset.own_scenes import seen_table
 from kit1000.dataset.pose_files import read_pose
 from kit1000.dataset.reader import Dataset
@@ -94,6 +95,7 @@ def editing(options: Options, sink: Sink | None = None, moves: bool = False) -> 
     dataset = Dataset(options.data)
     base = None if options.base_from_camera is None else read_pose(options.base_from_camera)
     scene = EditedScene.open(dataset, options.scene, options.sensor, options.truth, base)
+    _report_base(scene, options.base_from_camera or dataset.root / "dataset.json")
     method = Method(options.snap, dataset.root, options.scene, options.sensor, options.truth)
     if options.snap != NO_SNAP:
         method.check()
@@ -116,6 +118,15 @@ def editing(options: Options, sink: Sink | None = None, moves: bool = False) -> 
                 if worker is not None:
                     worker.close()
                 log.add("close")
+
+
+def _report_base(scene: EditedScene, stated: Path) -> None:
+    """Print how the table lies in the base of a robot, if its pose is stated; refuse a pose that cannot be meant."""
+    if scene.base_from_camera is not None:
+        eye = scene.view.world_from_camera  # the table is at z = 0 of the world
+        up = eye.inverse().rotate((0.0, 0.0, 1.0))
+        for line in check_base_pose(scene.base_from_camera, up, float(eye.xyz[2]), str(stated)):
+            print(line, file=sys.stderr)
 
 
 def run(options: Options) -> None:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from kit1000.capture.depth_files import read_depth_files
-from kit1000.capture.depth_frames import DepthFrame, mean_depth, metric_depth
+from kit1000.capture.depth_frames import DepthFrame, UnlikelyDepth, mean_depth, metric_depth
 from kit1000.errors import InputError
 
 STEPS = np.random.default_rng(0).integers(400, 1200, (96, 128)).astype(np.uint16)
@@ -39,7 +39,7 @@ def test_what_was_saved_is_read(tmp_path: Path, name: str) -> None:
     SAVED[name](tmp_path / name, STEPS)
     (frame,) = read_depth_files(tmp_path / name)
     np.testing.assert_array_equal(frame.values, STEPS)
-    np.testing.assert_allclose(metric_depth(frame), STEPS * 1e-3, rtol=1e-6)
+    np.testing.assert_allclose(metric_depth(frame, 1e-3), STEPS * 1e-3, rtol=1e-6)
 
 
 def test_floats_are_metres_and_several_frames_are_read(tmp_path: Path) -> None:
@@ -47,7 +47,7 @@ def test_floats_are_metres_and_several_frames_are_read(tmp_path: Path) -> None:
     Image.fromarray(metres).save(tmp_path / "a.tiff")
     np.save(tmp_path / "stack.npy", np.stack([metres, metres + 1]))
     (frame,) = read_depth_files(tmp_path / "a.tiff")
-    np.testing.assert_array_equal(metric_depth(frame), metres)
+    np.testing.assert_array_equal(metric_depth(frame, 1.0), metres)
     frames = read_depth_files(tmp_path / "stack.npy")
     np.testing.assert_array_equal(frames[1].values, metres + 1)
 
@@ -77,7 +77,8 @@ HOSTILE: dict[str, tuple[Callable[[Path], object], str]] = {
     "eight.png": (lambda path: Image.fromarray(STEPS.astype(np.uint8)).save(path), "8 bits"),
     "colour.png": (lambda path: Image.new("RGB", (128, 96)).save(path), "3 channels"),
     "alpha.png": (lambda path: Image.new("LA", (128, 96)).save(path), "2 channels"),
-    "colour.npy": (lambda path: np.save(path, np.zeros((96, 128, 3))), "3 channels"),
+    "colour.npy": (lambda path: np.save(path, np.zeros((96, 128, 3), np.uint16)), "3 channels"),
+    "cloud.npy": (lambda path: np.save(path, np.zeros((96, 128, 3))), "point cloud"),
     "eight.npy": (lambda path: np.save(path, STEPS.astype(np.uint8)), "8 bits"),
     "complex.npy": (lambda path: np.save(path, STEPS.astype(complex)), "complex128"),
     "flat.npy": (lambda path: np.save(path, np.arange(5.0)), "rows and columns"),
@@ -124,25 +125,20 @@ EMPTY = {
 @pytest.mark.parametrize("name", EMPTY)
 def test_an_image_without_returns_is_refused(name: str) -> None:
     with pytest.raises(InputError, match=r"0\.0 % of the pixels"):
-        metric_depth(DepthFrame(EMPTY[name], "depth.png"))
+        metric_depth(DepthFrame(EMPTY[name], "depth.png"), 1.0)
 
 
 def test_pixels_without_a_return_are_zero_whatever_they_hold() -> None:
     values = STEPS * 1e-3
     values[0, :5] = np.nan, np.inf, -np.inf, -1, 0
-    depth = metric_depth(DepthFrame(values, "depth.npy"))
+    depth = metric_depth(DepthFrame(values, "depth.npy"), 1.0)
     assert not depth[0, :5].any()
     assert (depth[0, 5:] > 0).all()
 
 
-@pytest.mark.parametrize(
-    ("depth", "unit", "scale"), [(0.8, 1e-3, "0.001"), (0.8, 1e-4, "0.0001"), (0.8, 1e-5, "1e-05")]
-)
-def test_the_unit_that_would_fit_is_named(depth: float, unit: float, scale: str) -> None:
-    stored = DepthFrame(np.full((96, 128), depth / unit), "depth.npy", unit=1.0)
-    with pytest.raises(InputError, match=rf"expected 0\.15 to 4.*--depth-scale {scale}$"):
-        metric_depth(stored)
-    assert metric_depth(stored, unit)[0, 0] == pytest.approx(depth)
+def test_a_median_depth_of_no_table_is_refused() -> None:
+    with pytest.raises(UnlikelyDepth, match=r"median depth 8 m, expected 0\.15 to 4"):
+        metric_depth(DepthFrame(np.full((96, 128), 8.0), "depth.npy"), 1.0)
 
 
 @given(st.integers(1, 7), st.integers(0, 2**31))

@@ -11,7 +11,8 @@ from PIL import Image
 
 from kit1000.camera import look_at
 from kit1000.capture import importing
-from kit1000.capture.importing import Import, import_scenes
+from kit1000.capture.importing import import_scenes
+from kit1000.capture.options import ImportOptions
 from kit1000.cli import main
 from kit1000.dataset.mcap_io import ObservationFile
 from kit1000.dataset.own_scenes import PLACES, scenes_from_elsewhere, seen_table
@@ -206,7 +207,7 @@ WRONG = {  # by what is typed: facts of the answer
     "{image} {good} --kit 7": "--kit 7|3 bodies",
     "{image} {good} --check 10 20": "--check|three sides",
     "{image} {good} --check 400 300 200": "--check 400 x 300 x 200|no body",
-    "{image} {good} --stream colour": "--stream|raw, aligned",
+    "{image} {good} --stream colour": "--stream|raw|aligned",
     "{image} {good} --world-from-camera none.json": "none.json",
     "{image} {good} --world-from-camera {pose} {pose}": "--world-from-camera|each of 1 images, got 2",
     "{image} {good} --one-scene": "--one-scene|got 1 and 0",
@@ -289,7 +290,11 @@ def test_intrinsics_of_all_images_are_read_before_a_table_is_sought(
     monkeypatch.setattr(importing, "own_scene", sought)
     sources = (image.with_name("000007.png"), image)
     with pytest.raises(InputError, match="holds 2 cameras"):
-        import_scenes(Import(sources, image.with_name("out"), (str(image.with_name("scene_camera.json")),)))
+        import_scenes(
+            ImportOptions(
+                sources=sources, out=image.with_name("out"), intrinsics=(str(image.with_name("scene_camera.json")),)
+            )
+        )
 
 
 HOSTILE = {
@@ -321,7 +326,7 @@ def test_hostile_images_are_one_line_and_nothing_is_written(
 
 def test_one_body_is_no_scene(tmp_path: Path) -> None:
     np.save(tmp_path / "depth.npy", exact_depth((((0.1, 0.1, 0.05), (0.0, 0.0)),)))
-    with_kit = Import((tmp_path / "depth.npy",), tmp_path / "out", NUMBERS)
+    with_kit = ImportOptions(sources=(tmp_path / "depth.npy",), out=tmp_path / "out", intrinsics=NUMBERS)
     with pytest.raises(InputError, match="one body"):
         import_scenes(with_kit)
     assert not (tmp_path / "out").exists()

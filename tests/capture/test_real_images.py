@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from kit1000.capture.importing import Import, imported_scenes
-from kit1000.capture.own_scene import Wanted
+from kit1000.capture.importing import imported_scenes
+from kit1000.capture.options import ImportOptions
 from kit1000.perception.calibration import calibrated_by
 from kit1000.perception.restoration import restored
 from kit1000.values import ASSEMBLY_LABEL
@@ -27,8 +27,14 @@ MOST_BODIES = 14  # of an image; none shows more than 12
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: Path(row["file"]).stem)
 def test_a_real_image_is_imported(row: dict[str, str]) -> None:
     intrinsics = tuple(row[name] for name in ("fx", "fy", "cx", "cy"))
-    wanted = Wanted(float(row["metres_a_unit"]), row["sensor"])
-    (scene,) = imported_scenes(Import((FOLDER / row["file"],), FOLDER / "out", intrinsics, wanted=wanted))
+    options = ImportOptions(
+        sources=(FOLDER / row["file"],),
+        out=FOLDER / "out",
+        intrinsics=intrinsics,
+        depth_scale=float(row["metres_a_unit"]),
+        device=row["sensor"],
+    )
+    (scene,) = imported_scenes(options)
     assert 1 < len(scene.bodies) <= MOST_BODIES
     assert scene.facts.scanner == ("PhoXi" in row["sensor"])
     view, labels = scene.image.view, scene.image.labels

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,87 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 from mcap.writer import Writer as McapWriter
-from mcap_ros2.writer import Writer
-from PIL import Image
 
-from kit1000.capture.depth_frames import DepthFrame, metric_depth
-from kit1000.capture.frame_selection import Selection
-from kit1000.capture.frame_sources import read_groups
-from kit1000.capture.own_scene import Wanted, own_scene
+from kit1000.capture.depth_frames import metric_depth
 from kit1000.errors import InputError
 from tests.samples import recorded
-from tests.samples.own_images import CAMERA, exact_depth, millimetres
-
-HEADER = """std_msgs/Header header
-{}
-================================================================================
-MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
-================================================================================
-MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec
-"""
-IMAGE = HEADER.format("uint32 height\nuint32 width\nstring encoding\nuint8 is_bigendian\nuint32 step\nuint8[] data")
-COMPRESSED = HEADER.format("string format\nuint8[] data")
-INFO = HEADER.format(
-    "uint32 height\nuint32 width\nstring distortion_model\nfloat64[] d\nfloat64[9] k\n"
-    "uint32 binning_x\nuint32 binning_y"
-)
-SCHEMAS = {"Image": IMAGE, "CompressedImage": COMPRESSED, "CameraInfo": INFO}
-DEPTH = millimetres(exact_depth())
-FOLDER = "/camera/depth"
-RECT = f"{FOLDER}/image_rect_raw"
-FRAME = "depth_optical"
-
-
-def stamped(frame: str = FRAME) -> dict[str, Any]:
-    return {"stamp": {"sec": 1, "nanosec": 0}, "frame_id": frame}
-
-
-def image(values: np.ndarray = DEPTH, encoding: str = "16UC1", frame: str = FRAME, **changes: Any) -> dict[str, Any]:
-    height, width = values.shape[:2]
-    rows = np.ascontiguousarray(values)
-    row = {"height": height, "width": width, "encoding": encoding, "is_bigendian": 0, "step": rows.strides[0]}
-    return {"kind": "Image", "header": stamped(frame), **row, "data": rows.tobytes(), **changes}
-
-
-def compressed(
-    values: np.ndarray = DEPTH, form: str = "16UC1; compressedDepth png", head: tuple = (0, 0.0, 0.0)
-) -> dict:
-    file = io.BytesIO()
-    Image.fromarray(values).save(file, "PNG")
-    data = struct.pack("<iff", *head) + file.getvalue()
-    return {"kind": "CompressedImage", "header": stamped(), "format": form, "data": data}
-
-
-def info(**changes: Any) -> dict[str, Any]:
-    size = {"height": CAMERA.height, "width": CAMERA.width}
-    k = [CAMERA.fx, 0.0, CAMERA.cx, 0.0, CAMERA.fy, CAMERA.cy, 0.0, 0.0, 1.0]
-    row = {"distortion_model": "plumb_bob", "d": [0.0] * 5, "k": k, "binning_x": 0, "binning_y": 0}
-    return {"kind": "CameraInfo", "header": stamped(), **size, **row, **changes}
-
-
-def bag(path: Path, *messages: tuple[str, dict[str, Any]]) -> Path:
-    """A ROS 2 bag of messages by topic."""
-    with path.open("wb") as file:
-        writer = Writer(file)
-        schemas = {name: writer.register_msgdef(f"sensor_msgs/msg/{name}", text) for name, text in SCHEMAS.items()}
-        for time, (topic, row) in enumerate(messages, start=1):
-            values = {key: value for key, value in row.items() if key != "kind"}
-            writer.write_message(topic, schemas[row["kind"]], values, time, time)
-        writer.finish()
-    return path
-
-
-def read(path: Path, **selection: Any) -> list[DepthFrame]:
-    (group,) = read_groups([path], Selection(**selection))
-    return group
-
+from tests.samples.own_images import CAMERA, exact_depth
+from tests.samples.ros_bags import CALIBRATED, DEPTH, FOLDER, RECT, bag, compressed, image, info, read, stamped
 
 COLOUR = ("/camera/color/image_raw", image(np.zeros((48, 64, 3), np.uint8), "rgb8", "colour"))
-CALIBRATED = (f"{FOLDER}/camera_info", info())
 METRES = exact_depth().astype(np.float32)
 SAME = {
     "raw": (RECT, image()),
@@ -105,7 +30,7 @@ SAME = {
 @pytest.mark.parametrize("name", SAME)
 def test_a_bag_is_read_with_its_intrinsics(tmp_path: Path, name: str) -> None:
     (frame,) = read(bag(tmp_path / "bag.mcap", CALIBRATED, COLOUR, SAME[name]))
-    np.testing.assert_allclose(metric_depth(frame), exact_depth(), atol=0.51e-3)
+    np.testing.assert_allclose(metric_depth(frame, frame.unit or 1.0), exact_depth(), atol=0.51e-3)
     known = frame.intrinsics
     assert known is not None
     assert (known.fx, known.fy, known.cx, known.cy) == (CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy)
@@ -124,7 +49,7 @@ def test_compressed_floats_are_unpacked(tmp_path: Path) -> None:
     steps = np.where(METRES > 0, np.rint(scale / np.where(METRES > 0, METRES, 1) + offset), 0).astype(np.uint16)
     message = compressed(steps, "32FC1; compressedDepth png", (0, scale, offset))
     (frame,) = read(bag(tmp_path / "bag.mcap", CALIBRATED, (f"{RECT}/compressedDepth", message)))
-    np.testing.assert_allclose(metric_depth(frame), METRES, atol=1e-3)
+    np.testing.assert_allclose(metric_depth(frame, frame.unit or 1.0), METRES, atol=1e-3)
 
 
 def test_frames_are_taken_in_order(tmp_path: Path) -> None:
@@ -142,7 +67,7 @@ def test_a_folder_of_ros_is_read(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read(tmp_path / "bag")[0].values, DEPTH)
     (tmp_path / "old").mkdir()
     (tmp_path / "old" / "old_0.db3").touch()
-    with pytest.raises(InputError, match="ros2 bag convert"):
+    with pytest.raises(InputError, match="rosbags-convert"):
         read(tmp_path / "old")
 
 
@@ -181,10 +106,10 @@ def test_what_cannot_be_used_is_refused_in_one_line(tmp_path: Path, name: str) -
 
 
 def test_without_calibration_intrinsics_are_asked_for(tmp_path: Path) -> None:
-    frames = read(bag(tmp_path / "bag.mcap", COLOUR, (RECT, image())))
-    assert frames[0].intrinsics is None
-    with pytest.raises(InputError, match=r"bag\.mcap .*record CameraInfo too, or give --intrinsics"):
-        own_scene(frames, None, Wanted())
+    path = bag(tmp_path / "bag.mcap", COLOUR, (RECT, image()))
+    with pytest.raises(InputError, match=r"bag\.mcap .*no intrinsics beside it.*--intrinsics"):
+        read(path)
+    assert read(path, intrinsics=("1", "1", "1", "1"))[0].intrinsics is None
 
 
 def test_an_unknown_topic_is_answered_with_the_known_ones(tmp_path: Path) -> None:
