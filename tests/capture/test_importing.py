@@ -256,7 +256,7 @@ IMPOSSIBLE = {  # by the options: facts of the answer
     "--baseline-mm inf": "--baseline-mm|inf",
     "--depth-scale nan": "--depth-scale|nan",
     "--world-from-camera none.json": "none.json",
-    "--out {image}/mine": "{image}|is a file|--out",
+    "--out {image}/mine": "cannot write|{image}",
 }
 
 
