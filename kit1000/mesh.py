@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from manifold3d import Error, Manifold, Mesh64
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull
 
 from kit1000.errors import MeshRefused, ShapeError, checked
-from kit1000.numerics.components import component_labels
 from kit1000.numerics.linear_algebra import determinant, matmul
 
 if TYPE_CHECKING:
@@ -199,6 +200,15 @@ def _edge_defect(a: np.ndarray, b: np.ndarray, n: int) -> str:
 def defect_float32(mesh: Mesh) -> str | None:
     """`defect` of the mesh as a loader reads it: vertices rounded to float32, equal ones merged."""
     return defect(mesh.rounded_float32().merged())
+
+
+def component_labels(count: int, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(count,) int32 connected component of each node of a graph with edges from nodes a (e,) to b (e,).
+
+    Components are numbered from 0, in the order of their first nodes.
+    """
+    graph = coo_array((np.ones(len(a), dtype=bool), (a, b)), shape=(count, count))
+    return connected_components(graph, directed=False)[1]
 
 
 def body_count(mesh: Mesh) -> int:

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 
 from kit1000.errors import InputError
-from kit1000.numerics.robust import TUKEY, tukey_weights
+from kit1000.perception.calibration.plane import TUKEY, tukey_weights
 from kit1000.pose import Pose, unit_vector
 from kit1000.values import LabelledDepth
 

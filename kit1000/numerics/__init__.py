@@ -1,1 +1,1 @@
-"""Arithmetic with the same bits on every processor: linear algebra, trigonometry, elimination, compiled loops."""
+"""Arithmetic with the same bits on every processor, see the conventions of the documentation; compiled loops."""

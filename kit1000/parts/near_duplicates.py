@@ -6,13 +6,15 @@ bounding box filled, share of the convex hull filled, two ratios of the box's si
 
 from __future__ import annotations
 
+from decimal import Context, Decimal
+
 import numpy as np
 from scipy.spatial import ConvexHull
 
 from kit1000.mesh import Mesh
-from kit1000.numerics.powers import power
 
 MIN_DIFFERENCE = 0.01  # relative difference of two different parts in at least one measure
+DIGITS = 40  # of intermediate results: twice those of a float64 and some
 
 
 def shape_measures(mesh: Mesh) -> np.ndarray:
@@ -28,6 +30,11 @@ def shape_measures(mesh: Mesh) -> np.ndarray:
             mesh.area / power(mesh.volume, 2 / 3),
         ]
     )
+
+
+def power(base: float, exponent: float) -> float:
+    """The power of a positive number, correctly rounded: those of numpy and C differ in the last bit by processor."""
+    return float(Context(prec=DIGITS).power(Decimal(float(base)), Decimal(exponent)))
 
 
 def near_duplicate_of(measures: np.ndarray, others: np.ndarray) -> int | None:

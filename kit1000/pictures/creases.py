@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from kit1000.mesh import Mesh
+from kit1000.mesh import Mesh, component_labels
 from kit1000.numerics.compiled import compiled
-from kit1000.numerics.components import component_labels
 
 CREASE_DEG = 32.0  # cylinders have 12 sides or more (30 degrees), chamfers have 45 degrees
 PLANE_DEG = 0.5  # largest angle between faces of one plane, after rounding to float32

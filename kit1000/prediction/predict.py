@@ -20,7 +20,7 @@ from typing import Literal
 from tqdm import tqdm
 
 from kit1000.dataset.reader import Dataset
-from kit1000.errors import InputError, InternalError, Kit1000Error, did_you_mean, failure_text, shown
+from kit1000.errors import InputError, InternalError, Kit1000Error, did_you_mean, failure_text
 from kit1000.files import check_output
 from kit1000.parallel import local_engine, usable_cores
 from kit1000.prediction.catalog import TABLES, Method
@@ -195,11 +195,8 @@ def _earlier_submission(out: Path, new: Manifest) -> Submission | None:
 
     Raises InputError if it is of another method or dataset, or if other code or weights made its rows.
     """
-    if not out.exists() or not any(out.iterdir()):
-        return None
     if not (out / "manifest.toml").is_file():
-        first = shown(min(entry.name for entry in out.iterdir()))
-        raise InputError(f"{out}: holds {first}, but no submission; choose another --out")
+        return None
     earlier = read_submission(out)
     old = earlier.manifest
     for what, theirs, ours in (("method", old.method, new.method), ("dataset", old.dataset_id, new.dataset_id)):

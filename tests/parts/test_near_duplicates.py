@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from decimal import Decimal, localcontext
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,7 +11,7 @@ from hypothesis import strategies as st
 from manifold3d import Manifold
 
 from kit1000.mesh import Mesh, mesh_from_solid
-from kit1000.parts.near_duplicates import MIN_DIFFERENCE, near_duplicate_of, shape_measures
+from kit1000.parts.near_duplicates import MIN_DIFFERENCE, near_duplicate_of, power, shape_measures
 from tests.samples.mini import l_shape
 from tests.samples.strategies import vectors
 
@@ -50,3 +52,17 @@ def test_the_first_part_that_agrees_in_all_measures_is_returned() -> None:
     assert near_duplicate_of(measures, others) == 1
     assert near_duplicate_of(measures, others[:1]) is None
     assert near_duplicate_of(measures, np.zeros((0, 5))) is None
+
+
+@given(st.floats(1e-8, 1e3), st.sampled_from([2 / 3, 1 / 3, 0.5, 2.0]))
+def test_powers_are_correctly_rounded(base: float, exponent: float) -> None:
+    with localcontext() as context:
+        context.prec = 60
+        exact = (Decimal(exponent) * Decimal(base).ln()).exp()
+        rounded = power(base, exponent)
+        beside = [float(np.nextafter(rounded, to)) for to in (0.0, np.inf)]
+        assert all(abs(Decimal(rounded) - exact) <= abs(Decimal(other) - exact) for other in beside)
+
+
+def test_powers_of_squares_and_cubes_are_exact() -> None:
+    assert [power(49.0, 0.5), power(3.0, 4.0), power(1.0, 2 / 3)] == [7.0, 81.0, 1.0]

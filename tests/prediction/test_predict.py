@@ -143,7 +143,7 @@ def test_another_method_or_dataset_is_not_mixed_in(mini: Path, tmp_path: Path) -
         predict(run_config("guess"), mini, out, 1)
     (tmp_path / "full").mkdir()
     (tmp_path / "full/notes.txt").touch()
-    with pytest.raises(InputError, match=r"full: holds notes\.txt, but no submission; choose another --out"):
+    with pytest.raises(InputError, match=r"full: is not empty.*--out"):
         predict(run_config("guess"), mini, tmp_path / "full", 1)
 
 

@@ -10,9 +10,9 @@ from manifold3d import triangulate
 from scipy.spatial import KDTree
 
 from kit1000.errors import MeshRefused
+from kit1000.mesh import component_labels
 from kit1000.numerics.linear_algebra import length, matmul
 from kit1000.parts.files.topology import (
-    component_labels,
     consistently_wound,
     halfedges,
     longest_side,

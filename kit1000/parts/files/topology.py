@@ -6,10 +6,9 @@ Vertices (n, 3) are float64 [m], faces (m, 3) int64 of indices into them. A half
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from kit1000.errors import MeshRefused
+from kit1000.mesh import component_labels
 
 
 def halfedges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -53,12 +52,6 @@ def without_duplicates(vertices: np.ndarray, faces: np.ndarray, notes: list[str]
 def _uncollapsed(faces: np.ndarray) -> np.ndarray:
     a, b, c = faces.T
     return faces[(a != b) & (b != c) & (c != a)]
-
-
-def component_labels(count: int, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(count,) the connected component of each node of a graph with edges from `a` to `b`, numbered by first nodes."""
-    graph = coo_array((np.ones(len(a), dtype=bool), (a, b)), shape=(count, count))
-    return connected_components(graph, directed=False)[1]
 
 
 def longest_side(vertices: np.ndarray) -> float:

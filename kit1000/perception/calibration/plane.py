@@ -9,7 +9,6 @@ from scipy.ndimage import binary_dilation
 
 from kit1000.numerics.elimination import solve_positive
 from kit1000.numerics.linear_algebra import eigenvectors, matmul
-from kit1000.numerics.robust import TUKEY, tukey_weights
 from kit1000.perception.calibration.table_top import rays
 from kit1000.perception.sensor_facts import AnySensor, gain_of, needs_restoring, table_is_simulated
 from kit1000.pose import Pose
@@ -25,6 +24,12 @@ LEAST_PIXELS = 500  # of the plane; with fewer there is none
 PLANE_ROUNDS = 5  # of reweighting
 RECORDED_WEIGHT = 0.3  # of the recorded plane, in pixels: noise of a pixel over spread of the plane, squared, at 0.8 m
 LEAST_INFORMATION = 1e-9  # [pixels] along an axis
+TUKEY = 4.685  # standard deviations at which a weight becomes 0: 95 % efficient for normal residuals
+
+
+def tukey_weights(residuals: np.ndarray, limit: float | np.ndarray) -> np.ndarray:
+    """(n,) biweights (Beaton and Tukey 1974) of residuals (n,): 1 for none, 0 from a limit on, a number or (n,)."""
+    return np.square(np.clip(1 - np.square(residuals / limit), 0, None))
 
 
 @dataclass(frozen=True, eq=False)
