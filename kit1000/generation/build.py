@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -32,15 +33,14 @@ from kit1000.generation.dataset_summary import (
     JobRecords,
     description_files,
     make_summary,
-    refused_files,
     summary_bytes,
     tables,
 )
-from kit1000.generation.leftover_files import fill_short_splits
 from kit1000.generation.parts_and_kits import BUILD_FOLDER, PartJob, Record, make_part_and_kit, read_intact
-from kit1000.generation.plan import Sources, candidate_order, make_plan, split_ids
+from kit1000.generation.plan import Sources, candidate_order, make_plan, plan_head, split_ids
 from kit1000.generation.presets import Preset
 from kit1000.generation.shards import make_shard, shard_jobs
+from kit1000.generation.tried_files import deal_files, try_file, try_files
 from kit1000.parallel import ParallelMap, local_engine
 from kit1000.parts.files.read import refusal_counts
 from kit1000.parts.near_duplicates import near_duplicate_of
@@ -70,48 +70,57 @@ def generate(
         InputError: the folder contains something else or cannot be written, no mesh file can be a part, or there is no
             physics engine.
     """
-    plan = make_plan(preset, preset.seed if seed is None else seed, sources)
+    head = plan_head(preset, preset.seed if seed is None else seed, sources)
     check_writable(root)
-    _check_folder(root, plan)  # before the lock, which leaves a file
+    _check_folder(root, head)  # before the lock, which leaves a file
     with locked(root):
-        _check_folder(root, plan)
+        _check_folder(root, head)
         clear_partial(root)
         summary = _finished_summary(root)
         if summary is not None:
             return summary
         check_physics()  # now, not after all parts are made
-        write_json(root / "plan.json", plan)
+        write_json(root / "plan.json", head)
+        refused, untried = {}, None
         with engine or local_engine(workers) as parallel_map:
-            parts = _make_parts_and_kits(root, preset, plan, sources, parallel_map)
-            assemblies = _make_assemblies(root, preset, plan, parts, parallel_map)
+            if sources is None:
+                plan = make_plan(preset, head["seed"])
+                parts = _make_parts_and_kits(root, preset, plan, parallel_map)
+            else:
+                run = partial(_run_jobs, "mesh files", try_file, parallel_map)
+                tried = try_files(root, preset, head["seed"], sources, run)
+                if not tried.accepted:
+                    raise InputError(_no_usable_file(root, tried.refused))
+                plan = make_plan(preset, head["seed"], list(tried.accepted)) | head
+                parts, refused, untried = deal_files(root, plan, tried.accepted), tried.refused, tried.untried
+            assemblies = _make_assemblies(root, preset, plan, parallel_map)
             scenes = _make_shards(root, preset, plan, assemblies, parallel_map)
-        return write_summary(
-            root, plan, JobRecords(parts, assemblies, scenes, None if sources is None else len(sources.files))
-        )
+        return write_summary(root, plan, JobRecords(parts, assemblies, scenes, refused, untried))
 
 
-def _check_folder(root: Path, plan: dict[str, Any]) -> None:
-    """Raise InputError when a folder contains anything but a dataset of this plan, finished or not."""
+def _check_folder(root: Path, head: dict[str, Any]) -> None:
+    """Raise InputError if a folder contains anything but a dataset of this plan, finished or not."""
     if not root.is_dir():
         return
     path = root / "plan.json"
     if path.is_file():
         begun = read_json(path)
-        if json_bytes(begun) != json_bytes(plan):
-            other = _plan_difference(begun, plan)
+        other = _difference(begun, head)
+        if other is not None:
             raise InputError(f"{root} contains another dataset ({other}): choose another --out, or delete that folder")
     elif any(not entry.name.startswith(".") for entry in root.iterdir()):
         raise InputError(f"{root} is not empty and contains no dataset: choose another --out")
 
 
-def _plan_difference(begun: Any, plan: dict[str, Any]) -> str:
-    """The first difference of two plans, for a message."""
+def _difference(begun: Any, head: dict[str, Any]) -> str | None:
+    """The first difference of a begun plan from the head of this one, for a message; None if there is none."""
     if not isinstance(begun, dict):
         return "its plan.json is no plan"
     for key in ("format", "data_version", "preset", "seed", "unit"):
-        if begun.get(key) != plan.get(key):
-            return f"{key.replace('_', ' ')} {begun.get(key)}, expected {plan.get(key)}"
-    return "with other parts"
+        if begun.get(key) != head.get(key):
+            return f"{key.replace('_', ' ')} {begun.get(key)}, expected {head.get(key)}"
+    same = {key: begun.get(key) for key in {*head, "sources"} & {*begun}}
+    return None if json_bytes(same) == json_bytes(head) else "with other parts"
 
 
 def _finished_summary(root: Path) -> dict[str, Any] | None:
@@ -130,66 +139,34 @@ def _finished_summary(root: Path) -> dict[str, Any] | None:
 
 
 def _make_parts_and_kits(
-    root: Path, preset: Preset, plan: dict[str, Any], sources: Sources | None, parallel_map: ParallelMap
+    root: Path, preset: Preset, plan: dict[str, Any], parallel_map: ParallelMap
 ) -> dict[str, Record]:
-    """The record of every part and kit, by id; near-duplicates are redrawn until none is left."""
+    """The record of every procedural part and its kit, by id; near-duplicates are redrawn until none is left."""
     jobs = {
-        part_id: _part_job(root, preset, plan["seed"], part_id, row, sources) for part_id, row in plan["parts"].items()
+        part_id: PartJob(root, preset, plan["seed"], part_id, row["split"]) for part_id, row in plan["parts"].items()
     }
-    costly_first = sorted(jobs.values(), key=_bytes_to_read, reverse=True)  # so that no core idles at the end
-    records = _run_jobs("parts and kits", make_part_and_kit, costly_first, parallel_map)
-    accepted: list[str] = []
+    records = _run_jobs("parts and kits", make_part_and_kit, parallel_map, list(jobs.values()))
     measures = np.zeros((0, 5))
-    for part_id in jobs:
-        record = records[part_id]
-        while (
-            "refused" not in record and (twin := near_duplicate_of(np.array(record["measures"]), measures)) is not None
-        ):
-            alike = f"near-duplicate of {records[accepted[twin]]['source']}" if sources else "near-duplicate"
-            record = make_part_and_kit(replace(jobs[part_id], redraws=(*record["redraws"], alike)))
-        records[part_id] = record
-        if "refused" not in record:
-            accepted.append(part_id)
-            measures = np.concatenate([measures, [record["measures"]]])
-    if sources is not None:
-        fill_short_splits(jobs, records, sources, parallel_map)
-        accepted = [part_id for part_id, record in records.items() if "refused" not in record]
-    if not accepted:
-        raise InputError(_no_usable_file(root, plan, records))
+    for part_id, job in jobs.items():
+        while near_duplicate_of(np.array(records[part_id]["measures"]), measures) is not None:
+            redraws = (*records[part_id]["redraws"], "near-duplicate")
+            records[part_id] = make_part_and_kit(replace(job, redraws=redraws))
+        measures = np.concatenate([measures, [records[part_id]["measures"]]])
     return records
 
 
-def _bytes_to_read(job: PartJob) -> int:
-    """The size of the first file of a job, which tells its cost; 0 where there is none."""
-    path = job.sources[0][1] if job.sources else None
-    return path.stat().st_size if path is not None and path.is_file() else 0
-
-
-def _part_job(
-    root: Path, preset: Preset, seed: int, part_id: str, row: dict[str, Any], sources: Sources | None
-) -> PartJob:
-    if sources is None:
-        return PartJob(root, preset, seed, part_id, row["split"])
-    files = tuple((name, sources.files[name]) for name, _ in row["sources"])
-    return PartJob(root, preset, seed, part_id, row["split"], files, sources.unit)
-
-
-def _no_usable_file(root: Path, plan: dict[str, Any], records: dict[str, Record]) -> str:
+def _no_usable_file(root: Path, refused: dict[str, str]) -> str:
     """The message that no mesh file became a part. Deletes the plan, so that the folder can be used again."""
     shutil.rmtree(root / BUILD_FOLDER, ignore_errors=True)
     (root / "plan.json").unlink(missing_ok=True)
-    refused = refused_files(plan, records)
     reasons = [f"{name}: {reason}" for name, reason in refused.items()]
     more = f"; and {len(reasons) - 3} more" if len(reasons) > 3 else ""
     counts = refusal_counts(refused.values())
     return f"none of {len(reasons)} mesh files can be a part: {counts} ({'; '.join(reasons[:3])}{more})"
 
 
-def _make_assemblies(
-    root: Path, preset: Preset, plan: dict[str, Any], parts: dict[str, Record], parallel_map: ParallelMap
-) -> dict[str, Record]:
+def _make_assemblies(root: Path, preset: Preset, plan: dict[str, Any], parallel_map: ParallelMap) -> dict[str, Record]:
     """The record of every assembly, by id."""
-    usable = {part_id for part_id, record in parts.items() if "refused" not in record}
     ids = {split: split_ids(plan["parts"], split) for split in SPLITS}
     jobs = [
         AssemblyJob(
@@ -200,12 +177,11 @@ def _make_assemblies(
             row["split"],
             row["target"],
             row["kits"],
-            tuple(i for i in candidate_order(plan["seed"], row["target"], ids[row["split"]]) if i in usable),
+            tuple(candidate_order(plan["seed"], row["target"], ids[row["split"]])),
         )
         for assembly_id, row in plan["assemblies"].items()
-        if row["target"] in usable
     ]
-    return _run_jobs("assemblies", make_assembly, jobs, parallel_map)
+    return _run_jobs("assemblies", make_assembly, parallel_map, jobs)
 
 
 def _make_shards(
@@ -217,14 +193,14 @@ def _make_shards(
         for split in SPLITS
         for job in shard_jobs(root, preset, plan["seed"], split, split_ids(plan["assemblies"], split), set(assemblies))
     ]
-    return _run_jobs("scenes", make_shard, jobs, parallel_map, units=[len(job.assemblies) for job in jobs])
+    return _run_jobs("scenes", make_shard, parallel_map, jobs, units=[len(job.assemblies) for job in jobs])
 
 
 def _run_jobs(
     what: str,
     function: Callable[[Any], Record],
-    jobs: list[Any],
     parallel_map: ParallelMap,
+    jobs: list[Any],
     units: list[int] | None = None,
 ) -> dict[str, Record]:
     """Run jobs; returns their records by id. `units`: the count of each job in the progress bar, 1 by default."""
@@ -244,8 +220,7 @@ def _check_files_present(root: Path, record: Record) -> None:
     for name in record["files"]:
         if not (root / name).is_file():
             raise InputError(
-                f"{name} was written on another machine and is not in {root}: "
-                "all nodes must share that folder"
+                f"{name} was written on another machine and is not in {root}: all nodes must share that folder"
             )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import platform
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
@@ -32,28 +32,25 @@ class JobRecords:
     parts: dict[str, Record]
     assemblies: dict[str, Record]
     shards: dict[str, Record]
-    mesh_files: int | None = None
-    """Number of mesh files that parts could be made of; None for procedural parts."""
-
-    @property
-    def accepted_parts(self) -> list[Record]:
-        """Records of the parts and kits that were not refused."""
-        return [record for record in self.parts.values() if "refused" not in record]
+    refused: dict[str, str] = field(default_factory=dict)
+    """Reasons by name of the mesh files that are no parts."""
+    untried: int | None = None
+    """Number of mesh files that were not needed; None for procedural parts."""
 
     @property
     def files(self) -> dict[str, str]:
         """SHA-256 of all files that jobs wrote, by name."""
-        records = [*self.accepted_parts, *self.assemblies.values(), *self.shards.values()]
+        records = [*self.parts.values(), *self.assemblies.values(), *self.shards.values()]
         return {name: digest for record in records for name, digest in record["files"].items()}
 
 
 def tables(plan: Mapping[str, Any], records: JobRecords) -> dict[str, dict[str, Row]]:
     """Rows by id of the tables `parts`, `kits` and `assemblies`."""
-    accepted = {part_id: records.parts[part_id] for part_id in plan["parts"] if "refused" not in records.parts[part_id]}
+    parts = {part_id: records.parts[part_id] for part_id in plan["parts"]}
     common = ("split", "source", "redraws", "measures")
     return {
-        "parts": {i: r["part"] | {key: r[key] for key in common if key in r} for i, r in accepted.items()},
-        "kits": {i: r["kit"] | {"split": r["split"]} for i, r in accepted.items()},
+        "parts": {i: r["part"] | {key: r[key] for key in common if key in r} for i, r in parts.items()},
+        "kits": {i: r["kit"] | {"split": r["split"]} for i, r in parts.items()},
         "assemblies": {
             i: r["assembly"] | {key: r[key] for key in ("split", "target", "redraws")}
             for i, r in records.assemblies.items()
@@ -66,8 +63,7 @@ def make_summary(plan: dict[str, Any], records: JobRecords, written: Mapping[str
 
     `written`: SHA-256 by name of files that no job wrote, such as the tables.
     """
-    refused, used = refused_files(plan, records.parts), sum("source" in record for record in records.accepted_parts)
-    untried = {} if records.mesh_files is None else {"untried_files": records.mesh_files - used - len(refused)}
+    untried = {} if records.untried is None else {"untried_files": records.untried}
     return {
         "format": FORMAT,
         "data_version": DATA_VERSION,
@@ -83,7 +79,7 @@ def make_summary(plan: dict[str, Any], records: JobRecords, written: Mapping[str
             "assemblies": _count_reasons(record["redraws"] for record in records.assemblies.values()),
             "scenes": _count_reasons(record["redraws"] for record in records.shards.values()),
         },
-        "refused": refused,
+        "refused": records.refused,
         "refused_scenes": {k: v for _, record in sorted(records.shards.items()) for k, v in record["refused"].items()},
         "statistics": {split: _statistics(records, split) for split in SPLITS},
         "shards": {
@@ -120,23 +116,13 @@ def summary_bytes(summary: Mapping[str, Any]) -> bytes:
     return json_bytes(with_checksum(plain) | made)
 
 
-def refused_files(plan: Mapping[str, Any], records: Mapping[str, Record]) -> dict[str, str]:
-    """The reasons for which mesh files were refused, by file name."""
-    dealt = {part_id: [name for name, _ in row.get("sources", [])] for part_id, row in plan["parts"].items()}
-    return {
-        name: reason
-        for part_id, record in records.items()
-        for name, reason in zip(record.get("tried", dealt[part_id]), record["redraws"], strict=False)
-    }
-
-
 def _of_split(records: Mapping[str, Record], split: str) -> list[Record]:
     return [record for _, record in sorted(records.items()) if record["split"] == split]
 
 
 def _counts(records: JobRecords, split: str) -> dict[str, int]:
     return {
-        "parts": sum(record["split"] == split for record in records.accepted_parts),
+        "parts": sum(record["split"] == split for record in records.parts.values()),
         "assemblies": len(_of_split(records.assemblies, split)),
         "scenes": sum(len(record["scenes"]) for record in _of_split(records.shards, split)),
     }
@@ -144,7 +130,7 @@ def _counts(records: JobRecords, split: str) -> dict[str, int]:
 
 def _statistics(records: JobRecords, split: str) -> dict[str, Any]:
     """The statistics of a split for the data card: of the scenes, and of the parts and their kits."""
-    parts = [record for record in records.accepted_parts if record["split"] == split]
+    parts = [record for record in records.parts.values() if record["split"] == split]
     of_pairs = part_statistics([record["part"] for record in parts], [record["kit"] for record in parts])
     return add_up([*(record["statistics"] for record in _of_split(records.shards, split)), of_pairs])
 

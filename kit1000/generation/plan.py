@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -31,7 +31,6 @@ CONTENT_VERSION = "2.0.0"
 """Increased whenever the same plan gives other content. Each plan states it, so the id of a dataset depends on it."""
 DATA_VERSION = "2.1.0"
 """Increased also if only the bytes of files change. `dataset.json` states it."""
-MAX_SOURCE_FILES = 10  # of one part: the next file is tried when one cannot be a part
 MAX_CANDIDATES = 48  # parts tried to reach the drawn number of kits; more are tried only to reach the smallest number
 
 
@@ -71,21 +70,27 @@ class AssemblyDraw:
     placement: AssemblyPlan
 
 
-def make_plan(preset: Preset, seed: int, sources: Sources | None = None) -> dict[str, Any]:
-    """The plan of a preset, with procedural parts or with parts read from files."""
-    parts = _parts_from_files(preset, seed, sources) if sources is not None else _procedural_parts(preset, seed)
-    origin = {} if sources is None else {"unit": sources.unit}
-    return origin | {
+def plan_head(preset: Preset, seed: int, sources: Sources | None = None) -> dict[str, Any]:
+    """The entries of a plan that are known before any mesh file is tried; mesh files have their SHA-256."""
+    head = {
         "format": FORMAT,
         "data_version": CONTENT_VERSION,
         "preset": preset.name,
         "seed": seed,
         "config": preset.config,
         "held_out_families": sorted(HELD_OUT),
-        "parts": parts,
-        "assemblies": (assemblies := _assemblies(preset, seed, parts)),
-        "scenes": _scenes(preset, seed, assemblies),
     }
+    if sources is None:
+        return head
+    return head | {"unit": sources.unit, "sources": {name: sha256(path) for name, path in sources.files.items()}}
+
+
+def make_plan(preset: Preset, seed: int, files: Sequence[str] | None = None) -> dict[str, Any]:
+    """The plan of a preset with procedural parts, or with accepted mesh files, by name in their drawn order."""
+    parts = _procedural_parts(preset, seed) if files is None else _parts_of_files(preset, files)
+    assemblies = _assemblies(preset, seed, parts)
+    own = {"parts": parts, "assemblies": assemblies, "scenes": _scenes(preset, seed, assemblies)}
+    return plan_head(preset, seed) | own
 
 
 def dataset_id(plan: dict[str, Any]) -> str:
@@ -101,9 +106,15 @@ def draw_part(preset: Preset, seed: int, part_id: str, split: str, attempt: int)
     return PartDraw(family, drawing, float(rng.uniform(*preset.longest)))
 
 
-def draw_longest(preset: Preset, seed: int, part_id: str) -> float:
-    """Longest side [m] of a part that is read from a file."""
-    return float(stream(seed, "part", part_id, "longest").uniform(*preset.longest))
+def draw_longest(preset: Preset, seed: int, name: str) -> float:
+    """Longest side of the part that a mesh file becomes. [m]"""
+    return float(stream(seed, "file", name, "longest").uniform(*preset.longest))
+
+
+def file_order(seed: int, sources: Sources) -> list[str]:
+    """The names of mesh files in the random order in which they become parts."""
+    names = sorted(sources.files)
+    return [names[i] for i in stream(seed, "sources").permutation(len(names))]
 
 
 def draw_assembly_of(preset: Preset, seed: int, assembly_id: str, kits: int, attempt: int) -> AssemblyDraw:
@@ -138,27 +149,17 @@ def _procedural_parts(preset: Preset, seed: int) -> dict[str, Any]:
     return parts
 
 
-def _parts_from_files(preset: Preset, seed: int, sources: Sources) -> dict[str, Any]:
-    """Files in a random order, divided among the splits in the preset's proportions.
-
-    Each part gets one file, and the files left over as alternatives.
-    """
-    names = sorted(sources.files)
-    order = [names[i] for i in stream(seed, "sources").permutation(len(names))]
+def _parts_of_files(preset: Preset, names: Sequence[str]) -> dict[str, Any]:
+    """Mesh files dealt to the splits in the preset's proportions."""
     total = sum(preset.count(split) for split in SPLITS)
     count = min(len(names), total)
     shares = np.cumsum([0] + [preset.count(split) for split in SPLITS]) * count / total
     bounds = np.floor(shares + 0.5).astype(int)  # halves go to the earlier split: a single file is for training
-    parts = {}
-    for split, low, high in zip(SPLITS, bounds[:-1], bounds[1:], strict=True):
-        for k in range(low, high):
-            part_id = f"{split}-{k - low:04d}"
-            parts[part_id] = {
-                "split": split,
-                "sources": [[name, sha256(sources.files[name])] for name in order[k::count][:MAX_SOURCE_FILES]],
-                "longest": draw_longest(preset, seed, part_id),
-            }
-    return parts
+    return {
+        f"{split}-{k - low:04d}": {"split": split, "source": names[k]}
+        for split, low, high in zip(SPLITS, bounds[:-1], bounds[1:], strict=True)
+        for k in range(low, high)
+    }
 
 
 def candidate_order(seed: int, target: str, ids: list[str]) -> list[str]:

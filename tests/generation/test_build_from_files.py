@@ -13,11 +13,11 @@ from manifold3d import Manifold
 from kit1000.dataset.geometry import Geometry
 from kit1000.dataset.mesh_files import read_glb
 from kit1000.errors import InputError
-from kit1000.generation import parts_and_kits, shards
+from kit1000.generation import parts_and_kits, shards, tried_files
 from kit1000.generation.build import generate
-from kit1000.generation.parts_and_kits import PartJob, make_part_and_kit
-from kit1000.generation.plan import Sources, draw_longest, make_plan
+from kit1000.generation.plan import Sources, draw_longest
 from kit1000.generation.scenes import make_scene
+from kit1000.generation.tried_files import FileJob, try_file
 from kit1000.generation.verify import verify
 from kit1000.mesh import Mesh, defect_float32, mesh_from_solid
 from kit1000.parts.family import part_of_mesh
@@ -77,22 +77,21 @@ def test_real_parts_become_a_dataset_that_verifies(real_parts: Path, tmp_path: P
     assert verify(tmp_path / "out", sample=3).faults == ()
 
 
-def part_job(folder: Path, name: str, body: Manifold, **drawn: tuple[float, float]) -> PartJob:
+def file_job(folder: Path, name: str, body: Manifold, **drawn: tuple[float, float]) -> FileJob:
     path = write_stl(folder / f"{name}.stl", mesh_from_solid(body.scale((1e-3, 1e-3, 1e-3))))
     preset = replace(MINI, longest=(0.035, 0.05))
-    return PartJob(folder / "out", replace(preset, **drawn), 0, "train-0000", "train", ((path.name, path),))
+    return FileJob(folder / "out", replace(preset, **drawn), 0, path.name, path, None)
 
 
 def test_a_part_refused_at_the_size_drawn_is_tried_at_the_largest(tmp_path: Path) -> None:
     """A bar of 50 x 22 x 7.6 mm is high enough from 47 mm on."""
     bar = Manifold.cube((50, 22, 7.6))
-    made = make_part_and_kit(part_job(tmp_path, "bar", bar))
-    assert draw_longest(replace(MINI, longest=(0.035, 0.05)), 0, "train-0000") < 0.046
-    assert read_glb(tmp_path / "out/parts/train-0000.glb")["train-0000"].extents.max() == pytest.approx(0.05, abs=1e-6)
-    assert made["redraws"] == []
-    low = make_part_and_kit(part_job(tmp_path / "low", "bar", bar, longest=(0.035, 0.046)))
-    assert low["refused"]
-    assert len(low["redraws"]) == 1
+    preset = replace(MINI, longest=(0.035, 0.05))
+    name = next(name for name in map(str, range(99)) if draw_longest(preset, 0, f"{name}.stl") < 0.046)
+    job = file_job(tmp_path, name, bar)
+    assert "refused" not in try_file(job)
+    assert read_glb(tmp_path / f"out/parts/{job.id}.glb")[job.id].extents.max() == pytest.approx(0.05, abs=1e-6)
+    assert try_file(file_job(tmp_path / "low", name, bar, longest=(0.035, 0.046)))["refused"]
 
 
 def test_a_part_that_scaling_would_open_is_closed_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -100,39 +99,13 @@ def test_a_part_that_scaling_would_open_is_closed_again(tmp_path: Path, monkeypa
     cut = Manifold.cube((40, 22, 18)) - Manifold.cube((1e-7, 9, 5)).translate((1e-7, 8, 13))
     mesh = mesh_from_solid(cut.scale((1e-3, 1e-3, 1e-3)))
     assert defect_float32(part_of_mesh("cut", mesh, 0.04).mesh) is not None
-    monkeypatch.setattr(parts_and_kits, "read_mesh", lambda *_: SimpleNamespace(mesh=mesh))
-    job = part_job(tmp_path, "cut", cut, longest=(0.04, 0.04))
-    closed = parts_and_kits.part_of_size(job, mesh, 0.04)
+    closed = tried_files.part_of_size("cut", mesh, 0.04)
     assert defect_float32(closed.mesh) is None
     assert np.abs(closed.mesh.bounds - part_of_mesh("cut", mesh, 0.04).mesh.bounds).max() < 1e-5
-    monkeypatch.setattr(parts_and_kits, "closed_on_grid", lambda mesh, _: (mesh, "3 open edges"))
-    assert make_part_and_kit(job)["redraws"] == ["opens when files round it to float32: 3 open edges"]
-
-
-def files_by_part(seed: int, files: list[Path]) -> dict[str, list[str]]:
-    """The names of the files of each part."""
-    plan = make_plan(MINI, seed, Sources.of(files))
-    return {i: [name for name, _ in row["sources"]] for i, row in plan["parts"].items()}
-
-
-def test_an_alternative_replaces_an_invalid_file(tmp_path: Path) -> None:
-    folder = tmp_path / "files"
-    files = [write_stl(folder / f"good{width}.stl", l_shape(width)) for width in (20, 24, 28, 33)]
-    for i in range(4):
-        (folder / f"bad{i}.stl").touch()
-    files += folder.glob("bad*.stl")
-    seed = 0
-    while (
-        "bad" not in (by_part := files_by_part(seed, files))["train-0000"][0] or "good" not in by_part["train-0000"][1]
-    ):
-        seed += 1
-    generate(MINI, tmp_path / "out", seed, workers=1, sources=Sources.of(files))
-    geometry = Geometry(tmp_path / "out")
-    used = {i: row["source"] for i, row in geometry.parts.items()}
-    own = {i: next(n for n in names if "good" in n) for i, names in by_part.items() if "good" in str(names)}
-    assert own.items() <= used.items()
-    tried = {name for i, names in by_part.items() for name in names[: names.index(own[i]) if i in own else 2]}
-    assert dict.fromkeys(tried, "empty file").items() <= geometry.summary["refused"].items()
+    monkeypatch.setattr(tried_files, "read_mesh", lambda *_: SimpleNamespace(mesh=mesh))
+    monkeypatch.setattr(tried_files, "closed_on_grid", lambda mesh, _: (mesh, "3 open edges"))
+    job = file_job(tmp_path, "cut", cut, longest=(0.04, 0.04))
+    assert try_file(job)["refused"] == "opens when files round it to float32: 3 open edges"
 
 
 def test_no_usable_file_is_one_line_and_the_folder_can_be_used_again(sources: Sources, tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import builtins
-import itertools
 import json
 import os
 import sys
@@ -18,7 +17,7 @@ from kit1000.cli.summaries import summary_text
 from kit1000.dataset.geometry import Geometry
 from kit1000.errors import InputError
 from kit1000.generation.build import generate
-from kit1000.generation.plan import Sources, make_plan
+from kit1000.generation.plan import Sources, file_order
 from kit1000.generation.verify import verify
 from kit1000.sim.world import PhysicsMissing
 from tests.samples.mini import MINI, l_shape, write_stl
@@ -55,44 +54,33 @@ def test_names_of_any_bytes_never_end_a_run(tmp_path: Path, capsys: pytest.Captu
     assert again == summary
 
 
-def deals_only_bad_files(seed: int, files: list[Path]) -> bool:
-    """Whether a part gets no good one."""
-    rows = make_plan(MINI, seed, Sources.of(files))["parts"].values()
-    return any(all(name.startswith("bad") for name, _ in row["sources"]) for row in rows)
-
-
 @pytest.mark.usefixtures("fake_scenes")
-def test_leftover_files_are_tried_before_a_split_stays_short(tmp_path: Path) -> None:
-    """Each part is dealt some files; those of one part may all be bad while another has good ones to spare."""
+def test_files_are_tried_in_the_drawn_order_until_there_are_enough_parts(tmp_path: Path) -> None:
     files = [write_stl(tmp_path / f"good{width}.stl", l_shape(width)) for width in (20, 22, 24, 26, 28, 31, 33, 35)]
     for i in range(8):
         (tmp_path / f"bad{i}.stl").touch()
         files.append(tmp_path / f"bad{i}.stl")
-    summaries = {}
-    for seed in (0, next(filter(lambda seed: deals_only_bad_files(seed, files), itertools.count(1)))):
-        summary = generate(MINI, tmp_path / f"out{seed}", seed, workers=1, sources=Sources.of(files))
-        summaries[seed] = summary
-        assert sum(count["parts"] for count in summary["counts"].values()) == 4
-        refused = summary["refused"]
-        assert set(refused.values()) <= {"empty file"} | {r for r in refused.values() if r.startswith("near-dup")}
-        assert summary["untried_files"] == len(files) - 4 - len(refused)
-        assert f"{summary['untried_files']} more not tried" in summary_text(summary)
-        used = [row["source"] for row in Geometry(tmp_path / f"out{seed}").parts.values()]
-        assert len(set(used)) == 4
-        assert set(used).isdisjoint(refused)
-    again = generate(MINI, tmp_path / "again", 0, workers=1, sources=Sources.of(files[::-1]))
-    assert again == summaries[0]
+    sources = Sources.of(files)
+    summary = generate(MINI, tmp_path / "out", workers=1, sources=sources)
+    assert sum(count["parts"] for count in summary["counts"].values()) == 4
+    refused, order = summary["refused"], file_order(MINI.seed, sources)
+    assert {reason for name, reason in refused.items() if "bad" in name} <= {"empty file"}
+    assert summary["untried_files"] == len(files) - 4 - len(refused) > 0
+    assert f"{summary['untried_files']} more not tried" in summary_text(summary)
+    used = [row["source"] for row in Geometry(tmp_path / "out").parts.values()]
+    assert {*used, *refused} == {*order[: 4 + len(refused)]}
+    assert generate(MINI, tmp_path / "again", workers=1, sources=Sources.of(files[::-1])) == summary
 
 
 @pytest.mark.usefixtures("fake_scenes")
-def test_files_beyond_those_dealt_are_tried_too(tmp_path: Path) -> None:
+def test_one_good_file_among_many_is_found(tmp_path: Path) -> None:
     preset = replace(MINI, train=1, val=0, test=0)
     files = [tmp_path / f"a{i:02d}.stl" for i in range(30)]
     for path in files:
         path.touch()
     write_stl(files[-1], l_shape(24))
-    found = [generate(preset, tmp_path / f"o{s}", s, workers=1, sources=Sources.of(files)) for s in range(3)]
-    assert [summary["counts"]["train"]["parts"] for summary in found] == [1, 1, 1]
+    summary = generate(preset, tmp_path / "out", workers=1, sources=Sources.of(files))
+    assert summary["counts"]["train"]["parts"] == 1
 
 
 def without_physics(monkeypatch: pytest.MonkeyPatch, error: Exception) -> None:

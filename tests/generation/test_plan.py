@@ -18,7 +18,9 @@ from kit1000.generation.plan import (
     draw_assembly_of,
     draw_part,
     family_weights,
+    file_order,
     make_plan,
+    plan_head,
     scene_id_of,
 )
 from kit1000.generation.presets import HELD_OUT, PRESETS, Preset, preset, preset_of
@@ -179,40 +181,28 @@ def test_sizes_are_those_of_the_preset(many: dict[str, Any]) -> None:
 
 def test_a_plan_of_files_contains_no_absolute_path(tmp_path: Path) -> None:
     here, there = l_shape_sources(tmp_path / "a"), l_shape_sources(tmp_path / "b/deeper")
-    assert json_bytes(make_plan(MINI, 7, here)) == json_bytes(make_plan(MINI, 7, there))
+    assert json_bytes(plan_head(MINI, 7, here)) == json_bytes(plan_head(MINI, 7, there))
     backwards = Sources.of(reversed(list(here.files.values())))
-    assert make_plan(MINI, 7, backwards) == make_plan(MINI, 7, here)
+    assert plan_head(MINI, 7, backwards) == plan_head(MINI, 7, here)
+    assert file_order(7, backwards) == file_order(7, here)
+    assert Sources.of([*here.files.values(), *here.files.values()]) == here
 
 
 def test_a_plan_of_files_changes_with_their_contents_and_their_unit(tmp_path: Path) -> None:
     sources = l_shape_sources(tmp_path)
-    plan = make_plan(MINI, 7, sources)
-    assert dataset_id(make_plan(MINI, 7, replace(sources, unit="inch"))) != dataset_id(plan)
+    head = plan_head(MINI, 7, sources)
+    assert plan_head(MINI, 7, replace(sources, unit="inch")) != head
     write_stl(tmp_path / "corner20.stl", l_shape(21))
-    assert dataset_id(make_plan(MINI, 7, sources)) != dataset_id(plan)
+    assert plan_head(MINI, 7, sources) != head
+    assert plan_head(MINI, 7, Sources.of([tmp_path / "none.stl"]))["sources"] == {"none.stl": None}
 
 
-def test_every_file_is_used_once_and_the_rest_are_alternatives(tmp_path: Path) -> None:
-    sources = l_shape_sources(tmp_path, (20, 22, 24, 26, 28, 30, 32))
-    rows = make_plan(MINI, 7, sources)["parts"].values()
-    dealt = [name for row in rows for name, _ in row["sources"]]
-    assert sorted(dealt) == sorted(sources.files)
-    assert [len(row["sources"]) for row in rows] == [2, 2, 2, 1]
-    twice = Sources.of([*sources.files.values(), *sources.files.values()])
-    assert twice == sources
-
-
-@pytest.mark.parametrize("count", range(1, 5))
-def test_few_files_are_divided_among_the_splits(count: int, tmp_path: Path) -> None:
-    sources = l_shape_sources(tmp_path, tuple(range(20, 20 + count)))
-    rows = make_plan(MINI, 7, sources)["parts"].values()
-    assert len(rows) == count
+@pytest.mark.parametrize("count", range(1, 7))
+def test_accepted_files_are_divided_among_the_splits_in_their_order(count: int) -> None:
+    names = [f"{number}.stl" for number in range(count)]
+    rows = make_plan(MINI, 7, names)["parts"].values()
+    assert [row["source"] for row in rows] == names[:4]
     assert any(row["split"] == "train" for row in rows)
-
-
-def test_a_missing_file_is_planned_too(tmp_path: Path) -> None:
-    plan = make_plan(MINI, 7, Sources.of([tmp_path / "none.stl"]))
-    assert [row["sources"] for row in plan["parts"].values()] == [[["none.stl", None]]]
 
 
 def test_a_misspelt_preset_is_answered_with_the_closest_one() -> None:

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from kit1000.dataset.reader import Dataset
 from kit1000.files import json_bytes, read_json
 from kit1000.generation.croissant import croissant_bytes
-from kit1000.generation.dataset_summary import refused_files, summary_bytes
+from kit1000.generation.dataset_summary import summary_bytes
 from kit1000.generation.plan import DATA_VERSION, dataset_id, make_plan
 from kit1000.generation.readme import readme_bytes
 from kit1000.generation.statistics import add_up, part_statistics, scene_statistics
@@ -85,9 +85,3 @@ def test_card_and_croissant_depend_on_the_summary_only(mini: Path, summary: dict
     told["files"] = {i: digest for i, digest in summary["files"].items() if i not in ("README.md", "croissant.json")}
     assert (mini / "README.md").read_bytes() == readme_bytes(told)
     assert (mini / "croissant.json").read_bytes() == croissant_bytes(told)
-
-
-def test_refused_files_have_the_reasons_of_their_redraws() -> None:
-    plan = {"parts": {"a": {"sources": [["x.stl", "0"], ["y.stl", "1"]]}, "b": {"sources": [["z.stl", "2"]]}, "c": {}}}
-    records = {"a": {"redraws": ["empty file"]}, "b": {"redraws": ["too thin"]}, "c": {"redraws": ["loose fit"]}}
-    assert refused_files(plan, records) == {"x.stl": "empty file", "z.stl": "too thin"}
