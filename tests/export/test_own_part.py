@@ -15,6 +15,7 @@ import trimesh
 from manifold3d import Manifold, OpType
 from PIL import Image
 
+from kit1000.cli.summaries import kit_report_text
 from kit1000.dataset.mesh_files import read_glb
 from kit1000.errors import InputError
 from kit1000.export import own_part
@@ -129,6 +130,13 @@ def test_the_report_states_clearance_repairs_and_scale(out: Path, report: dict[s
     assert report["kit_faces"] == len(read_triangles(out / "kit.stl").faces)
     assert report["trial"]["passes"] is True
     assert report["trial"]["keyedness_deg"] > 0
+
+
+@pytest.mark.parametrize(("step", "warned"), [(0.249, False), (0.25, True), (0.5, True)])
+def test_coarse_coordinates_are_a_warning(step: float, warned: bool, out: Path, report: dict[str, Any]) -> None:
+    assert 0 < report["coordinate_step_mm"] < 1e-5
+    text = kit_report_text(report | {"coordinate_step_mm": step}, out)
+    assert ("warning    the file gives coordinates in steps of" in text) == warned
 
 
 def test_another_run_over_the_same_folder_replaces_everything(out: Path, tmp_path: Path) -> None:

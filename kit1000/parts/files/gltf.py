@@ -58,8 +58,9 @@ def gltf_bodies(data: bytes, max_faces: int, folder: Path | None = None) -> list
     folder: holds the further files that a .gltf names. A damaged file may raise any exception.
     """
     check_foreign(data)
-    tree = _tree(data)
-    _check_extensions(tree)
+    text = _json_text(data)
+    tree = _tree(text)
+    _check_extensions(tree, text)
     _check_primitives(tree)
     _check_nodes(tree, max_faces)
     import trimesh  # only here: its import takes longer than reading most files
@@ -90,18 +91,20 @@ def _placed(mesh: Any, name: str, matrix: np.ndarray) -> Body:
     return Body(name, placed, faces if determinant(linear) >= 0 else faces[:, ::-1], step)
 
 
-def _tree(data: bytes) -> dict[str, Any]:
-    """The JSON of a file."""
+def _json_text(data: bytes) -> bytes:
+    """The JSON part of a file."""
     if data[:4] == MAGIC:
         version, length, size = (int.from_bytes(data[k : k + 4], "little") for k in (4, 8, 12))
         if version != 2:
             raise MeshRefused(f"GLB of version {version}, expected 2: export it again as glTF 2.0")
         if len(data) < length or data[16:20] != b"JSON":
             raise MeshRefused(f"not readable as GLB: cut short or damaged, {len(data):,} of {length:,} bytes")
-        text = data[20 : 20 + size]
-    else:
-        check_narrow(data)
-        text = data.removeprefix(BYTE_ORDER_MARK)
+        return data[20 : 20 + size]
+    check_narrow(data)
+    return data.removeprefix(BYTE_ORDER_MARK)
+
+
+def _tree(text: bytes) -> dict[str, Any]:
     try:
         tree = json.loads(text)
     except (ValueError, RecursionError):
@@ -114,11 +117,10 @@ def _tree(data: bytes) -> dict[str, Any]:
     return tree
 
 
-def _check_extensions(tree: dict[str, Any]) -> None:
+def _check_extensions(tree: dict[str, Any], text: bytes) -> None:
     """Raise MeshRefused if an extension changes the shape, or if an unknown one is required."""
-    named = json.dumps(tree)
     for name, what in SHAPES.items():
-        if f'"{name}"' in named:
+        if f'"{name}"'.encode() in text:
             raise MeshRefused(f"holds {what} ({name}), which is not read: export it without")
     for name in map(str, tree.get("extensionsRequired", [])):
         if not name.startswith(SHAPELESS):
