@@ -41,8 +41,8 @@ def test_names_of_any_bytes_never_end_a_run(tmp_path: Path, capsys: pytest.Captu
     card = (tmp_path / "out/README.md").read_text("utf-8")
     rows = [line for line in card.splitlines() if "near-duplicate of" in line]
     assert rows
-    for row in rows:  # one line, two columns
-        assert row.replace("\\|", "").count("|") == 3
+    for row in rows:  # one line, three columns
+        assert row.replace("\\|", "").count("|") == 4
         assert "<b>" not in row
     json.loads((tmp_path / "out/croissant.json").read_bytes())
     printed = summary_text(summary)
