@@ -28,7 +28,6 @@ WAYS: dict[str, Sequence[OutlineEdge] | None] = {
     "plane, outline": OUTLINE,
 }
 """Borders that are used besides the plane of the table, by name; None: no calibration."""
-AXES = ("x", "y", "z", "roll", "pitch", "yaw", "scale")
 WAY = Column("way", "calibrated by")
 ERROR_COLUMNS = (
     WAY,
@@ -41,12 +40,6 @@ ERROR_COLUMNS = (
     Column("scale_median", "median", 2),
 )
 SECONDS = (WAY, Column("n", "images"), Column("seconds", "mean, s", 3), Column("median", "median", 3))
-UNITS = {axis: "mm" if axis in "xyz" else "‰" if axis == "scale" else "°" for axis in AXES}
-AXIS_COLUMNS = (
-    WAY,
-    Column("n", "images"),
-    *(Column(axis, f"{axis}, {UNITS[axis]}", 3 if UNITS[axis] == "°" else 2) for axis in AXES),
-)
 
 
 @dataclass(frozen=True)
@@ -63,7 +56,7 @@ class Calibration:
 
 
 def main(options: Calibration) -> None:
-    """Print the errors of position, rotation and scale, and their root mean squares along each axis."""
+    """Print the errors of position, rotation and scale."""
     with measured_dataset(options.data) as (dataset, _):
         split = dataset.split(options.split, truth=True)
         scenes = [split.scene(name) for name in spread(split.scene_ids, options.scenes)]
@@ -72,7 +65,6 @@ def main(options: Calibration) -> None:
         measurement = Measurement.begin(dataset)
         title = f"Mean absolute error of camera pose and depth scale of the d415, images of {options.split}"
         errors = measurement.table("errors", title, *ERROR_COLUMNS)
-        axes = measurement.table("axes", "Root mean square of the error along each axis of the world", *AXIS_COLUMNS)
         times = measurement.table("seconds", "CPU seconds an image", *SECONDS)
         for way, measured in zip(WAYS, np.swapaxes(rows, 0, 1), strict=True):
             sizes = {
@@ -83,8 +75,6 @@ def main(options: Calibration) -> None:
             estimates = {key: estimate(values, clusters) for key, values in sizes.items()}
             medians = {f"{key}_median": each["median"] for key, each in estimates.items()}
             errors.add(way=way, n=count, **estimates, **medians)
-            squares = np.sqrt(np.mean(measured[:, :-1] ** 2, axis=0))
-            axes.add(way=way, n=count, **dict(zip(AXES, squares, strict=True)))
             if WAYS[way] is not None:
                 seconds = estimate(measured[:, -1])
                 times.add(way=way, n=count, seconds=seconds, median=seconds["median"])

@@ -4,9 +4,8 @@
     python bench/quality/completion.py kits data/kit1000 --split test
 
 The tables hold the IoU of the occupied voxels and the Chamfer distance of the surfaces, in all space, in hidden and in
-seen space. Parts have voxels of 1 mm, kits of 2 mm. For the network of parts they also hold the expected calibration
-error (ECE) of its probabilities in hidden cells, and its seconds on one core. A kit is compared within its plate and up
-to ABOVE it; the true kit with its cavity filled shows what a score is worth.
+seen space, and the seconds of the network on one core. Parts have voxels of 1 mm, kits of 2 mm. A kit is compared
+within its plate and up to ABOVE it; the true kit with its cavity filled shows what a score is worth.
 """
 
 from __future__ import annotations
@@ -25,12 +24,9 @@ from scipy.spatial import KDTree
 from bench.measured import add_components, measured_dataset, run, spread, timed
 from benchmark.measurements import Column, Measurement, estimate
 from kit1000.dataset.reader import Dataset
-from kit1000.generation.presets import HELD_OUT
 from kit1000.metrics.volumes import occupancy_iou, surface_chamfer
 from kit1000.perception.completion.parts.completed import CompletedPart, PartCompleter
-from kit1000.perception.completion.parts.frame import CODE
 from kit1000.perception.observed.kits import ObservedKits
-from kit1000.perception.observed.occupancy import filled_share
 from kit1000.perception.observed.parts import ObservedPart
 from kit1000.perception.observed.pixels import noise_of
 from kit1000.perception.restoration import calibrated_image, restored
@@ -43,18 +39,7 @@ WEIGHTS = METHODS["registration-completed"].weights
 SHIPPED = {"ideal": WEIGHTS["completion"], "d415": WEIGHTS["noisy_completion"]}
 PART_VOXEL, KIT_VOXEL = 1e-3, 2e-3  # [m]
 ABOVE = 10e-3  # [m] above the plate of a kit, where space is free
-BINS = 10  # number of intervals of probability for the calibration error
 SENSOR, N = Column("sensor", "sensor"), Column("n", "n")
-GROUP_COLUMNS = (
-    SENSOR,
-    Column("group", "parts"),
-    N,
-    Column("columns", "IoU, columns", 3),
-    Column("network", "IoU, network", 3),
-    Column("gain", "gain", 3),
-    Column("median", "gain, median", 3),
-    Column("ece", "ECE", 3),
-)
 SECONDS = (SENSOR, N, Column("seconds", "mean, s", 3), Column("median", "median", 3))
 
 
@@ -101,22 +86,10 @@ class Measured(NamedTuple):
     """Scores by method."""
     seconds: float = 0.0
     """Processor time of the network [s]."""
-    counts: np.ndarray = np.zeros((3, BINS))
-    """Number of hidden cells, and sums of probability and filled share, by intervals of probability: (3, BINS)."""
-
-
-GROUPS: dict[str, Callable[[Truth], bool]] = {
-    "all": lambda truth: True,
-    "upright": lambda truth: truth.rest_mode == "upright",
-    "tumbled": lambda truth: truth.rest_mode == "tumbled",
-    "crowded": lambda truth: truth.crowded,
-    "known families": lambda truth: truth.family not in HELD_OUT,
-    "held-out families": lambda truth: truth.family in HELD_OUT,
-}
 
 
 def main(options: Completion) -> None:
-    """Print the scores of each sensor; of parts also the IoU by groups, and the seconds."""
+    """Print the scores of each sensor, and for parts the seconds of the network."""
     torch.set_num_threads(1)
     kits = options.what == "kits"
     with measured_dataset(options.data) as (dataset, _):
@@ -125,7 +98,6 @@ def main(options: Completion) -> None:
         title = f"Completed {options.what}, voxels of {1e3 * voxel:g} mm, scenes of {options.split}"
         table = measurement.table("scores", title, SENSOR, Column("method", "method"), N, *score_columns())
         if not kits:
-            measurement.table("groups", "IoU of all space by groups of parts", *GROUP_COLUMNS)
             measurement.table("seconds", "CPU seconds of the network a part", *SECONDS)
         for sensor in (options.sensor,) if options.sensor else ("ideal", "d415"):
             measure = _kit if kits else _part_by(PartCompleter(SHIPPED[sensor]))
@@ -140,7 +112,9 @@ def main(options: Completion) -> None:
                 component = f"{options.what[:-1]} completion, {sensor}"
                 add_components(options.components, component, component_measures(methods), clusters)
             if not kits:
-                _add_parts(measurement, sensor, found)
+                seconds = estimate([row.seconds for row in found])
+                row = {"seconds": seconds, "median": seconds["median"]}
+                measurement.tables["seconds"].add(sensor=sensor, n=len(found), **row)
         measurement.report(options.out)
 
 
@@ -160,19 +134,14 @@ def _part_by(completer: PartCompleter) -> Callable[[Dataset, Query, Truth], Meas
         image = calibrated_image(query.image, query.sensor)
         observed = ObservedPart(image, FIRST_PART_LABEL + query.part, query.pivot)
         completed = CompletedPart(observed, completer, None if query.sensor == "ideal" else image)
-        seconds, logits = timed(lambda: completed.logits, process_time)
+        seconds, _ = timed(lambda: completed.logits, process_time)
         mesh = dataset.geometry.part(truth.part_id).mesh
         columns, network = observed.volume(PART_VOXEL), completed.volume(PART_VOXEL)
         exact = signed_distance(columns.grid, [(mesh, truth.world_from_part)], threads=1)
         hidden = np.isnan(observed.columns(PART_VOXEL).distance[::2, ::2])
-        counts = np.zeros((3, BINS))
-        if logits is not None and completed.framed is not None:
-            cells = completed.framed.codes == -CODE
-            share = filled_share(mesh, truth.world_from_part, logits.grid)
-            counts = bin_counts(logits.probability[cells], share[cells])
         volumes = {"columns": columns, "network": network}
         scores = {name: completion_scores(volume, exact, hidden) for name, volume in volumes.items()}
-        return Measured(truth, scores, seconds, counts)
+        return Measured(truth, scores, seconds)
 
     return measured
 
@@ -197,32 +166,6 @@ def _kit(dataset: Dataset, query: Query, truth: Truth) -> Measured:
     )
     volumes = {"columns": filled, "without cavity": solid}
     return Measured(truth, {name: completion_scores(volume, exact, hidden) for name, volume in volumes.items()})
-
-
-def _add_parts(measurement: Measurement, sensor: str, found: Sequence[Measured]) -> None:
-    """Add the IoU of parts by groups, and the seconds of the network."""
-    for name, belongs in GROUPS.items():
-        rows = [row for row in found if belongs(row.truth)]
-        if not rows:
-            continue
-        columns, network = (np.array([row.scores[method].all.iou for row in rows]) for method in ("columns", "network"))
-        gain = estimate(network - columns, [row.truth.assembly_id for row in rows])
-        shares = {"columns": columns.mean(), "network": network.mean(), "gain": gain, "median": gain["median"]}
-        ece = calibration_error(np.sum([row.counts for row in rows], axis=0))
-        measurement.tables["groups"].add(sensor=sensor, group=name, n=len(rows), ece=ece, **shares)
-    seconds = estimate([row.seconds for row in found])
-    measurement.tables["seconds"].add(sensor=sensor, n=len(found), seconds=seconds, median=seconds["median"])
-
-
-def bin_counts(probability: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """Counts of n cells by probability: their number and the sums of probability and filled share, (3, BINS)."""
-    bins = np.minimum((probability * BINS).astype(int), BINS - 1)
-    return np.stack([np.bincount(bins, weights, BINS) for weights in (np.ones(len(bins)), probability, share)])
-
-
-def calibration_error(counts: np.ndarray) -> float:
-    """The expected calibration error of (3, BINS) counts: the mean distance of probability and filled share."""
-    return float(np.abs(counts[1] - counts[2]).sum() / max(counts[0].sum(), 1))
 
 
 def score_columns() -> list[Column]:

@@ -1,17 +1,15 @@
-"""Quality of the scenes that `kit1000 import` makes of simulated images in users' file formats, and of real images.
+"""Quality of the scenes that `kit1000 import` makes of simulated images in users' file formats.
 
     python bench/quality/own_camera.py data/kit1000 --scenes 13
-    python bench/quality/own_camera.py data/kit1000 --images DIR --seat
+    python bench/quality/own_camera.py data/kit1000 --scenes 13 --seat
 
 The d415 image of each scene is saved as a user would save it, and imported. Table, masks and depths of the import are
 compared with the scene. With --seat, a method predicts on the imported scene, on the original with predicted masks, and
-with guesses on images from up to four places that are imported together. DIR holds real depth images with a
-manifest.csv (file, sensor, metres_a_unit, fx, fy, cx, cy, and foreground_mask: everything but the background).
+with guesses on images from up to four places that are imported together.
 """
 
 from __future__ import annotations
 
-import csv
 import io
 import json
 import tempfile
@@ -36,7 +34,6 @@ from kit1000.dataset.mcap_io import ObservationWriter
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.dataset.schema import Observation
 from kit1000.metrics import Targets, pose_errors, seatings
-from kit1000.perception.calibration import calibrated_by
 from kit1000.perception.calibration.plane import table_plane
 from kit1000.pose import Pose
 from kit1000.prediction.catalog import Method
@@ -67,19 +64,11 @@ SEAT = (
     Column("seated", "seated, %", 1, True),
     Column("position", "position, median mm", 2),
 )
-REAL = (
-    Column("image", "image"),
-    Column("share", "table, % of the image", 0, True),
-    Column("ripple", "ripple, mm", 2),
-    Column("bodies", "bodies"),
-    Column("moved", "camera moved by calibration, mm", 3),
-    Column("iou", "IoU of the foreground, %", 1, True),
-)
 
 
 @dataclass(frozen=True)
 class OwnCamera:
-    """Import simulated and real images, and print how right they are."""
+    """Import simulated images, and print the errors of the imported scenes."""
 
     data: tyro.conf.Positional[Path | None] = None
     """Dataset folder with ground truth; without one a tiny dataset is generated."""
@@ -87,8 +76,6 @@ class OwnCamera:
     """Number of scenes, those that have a query of place-d415, over all splits."""
     formats: tuple[Format, ...] = ("mm-png", "fine-png", "npy", "foxglove")
     """Files in which the images are saved."""
-    images: Path | None = None
-    """Folder of real images with a manifest.csv."""
     method: str = "registration-completed"
     """Method that predicts with --seat."""
     seat: bool = False
@@ -114,9 +101,6 @@ def main(options: OwnCamera) -> None:
     """Import, compare, print."""
     with measured_dataset(options.data) as (dataset, folder):
         measurement = Measurement.begin(dataset)
-        if options.images is not None:
-            command = measurement.setting["command"]
-            measurement.setting["command"] = command.replace(str(options.images), "IMAGES")
         scenes = _scenes(dataset, options.scenes)
         trips = measurement.table("round-trip", "Simulated d415 images saved, and imported again", *TRIP)
         for name in options.formats:
@@ -126,8 +110,6 @@ def main(options: OwnCamera) -> None:
             _add_seated(seated, options, dataset, scenes, folder)
             places = measurement.table("places", f"{options.method} on {SNAP_TRACK}, with hand-eye poses", *SEAT)
             _add_places(places, options, dataset, scenes, folder)
-        if options.images is not None:
-            _add_images(measurement.table("images", "Real images", *REAL), options.images)
         measurement.report(options.out)
 
 
@@ -181,7 +163,7 @@ def _png(view: View, unit: float) -> bytes:
 
 
 def _trip(scene: RecordedScene, own: OwnScene) -> Trip:
-    """What the import made of a scene, compared with it: its table as its own masks show it."""
+    """The imported scene compared with the original; the true table is the plane of the image's true background."""
     image = scene.labelled_depth(SENSOR)
     plane = table_plane(image.view, image.labels)
     assert plane is not None, "the scenes show their table"
@@ -202,7 +184,7 @@ def _iou(one: np.ndarray, other: np.ndarray) -> float:
 
 
 def _homes(scene: RecordedScene, own: OwnScene) -> dict[int, int]:
-    """The part of the scene that each imported part mostly shows, by index."""
+    """The original part that most pixels of each imported part show, by the index of the imported part."""
     labels, homes = scene.labelled_depth(SENSOR).labels, {}
     for part in range(len(own.parts)):
         counts = np.bincount(labels[own.image.labels == FIRST_PART_LABEL + part], minlength=FIRST_PART_LABEL + 1)
@@ -274,7 +256,7 @@ def _add_motions(table: Table, name: str, poses: Sequence[Pose], truths: Sequenc
 def _own_motions(
     scene: RecordedScene, own: OwnScene, asked: Sequence[Query], imported: Dataset, method: Method
 ) -> list[Pose]:
-    """The motion for each query about a scene, by the first image of its import; none where that found no such part."""
+    """The motion for each query about a scene, predicted on its import; no motion if the import has no such part."""
     recorded, homes = next(iter(imported.split("test"))), _homes(scene, own)
     predictor, motions = make_predictor(method, imported, 0), list[Pose]()
     for query in asked:
@@ -311,35 +293,6 @@ def _view_from(scene: RecordedScene, azimuth: float, number: int) -> View:
     pose = orbited(ideal.world_from_camera, np.array(PRIMARY_TARGET), azimuth)
     depth = render(ideal.camera, pose, scene.bodies(), threads=1).depth
     return sense(SENSOR, View(ideal.camera, pose, depth), stream(0, "own-camera", scene.id, number), 1)
-
-
-def _add_images(table: Table, folder: Path) -> None:
-    with open(folder / "manifest.csv", newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    for row in rows:
-        intrinsics = tuple(row[name] for name in ("fx", "fy", "cx", "cy"))
-        given = {"depth_scale": float(row["metres_a_unit"]), "device": row["sensor"]}
-        (own,) = imported_scenes(_options((folder / row["file"],), folder / "out", intrinsics, **given))
-        view = own.image.view
-        fixed = calibrated_by(view, own.image.labels, own.facts).world_from_camera
-        mask = row.get("foreground_mask")
-        values = {} if not mask else {"iou": _foreground(folder / mask, own)}
-        table.add(
-            image=Path(row["file"]).stem,
-            share=own.table.share,
-            ripple=1e3 * own.table.ripple,
-            bodies=len(own.bodies),
-            moved=1e3 * float(np.sqrt(((fixed.xyz - view.world_from_camera.xyz) ** 2).sum())),
-            **values,
-        )
-
-
-def _foreground(path: Path, own: OwnScene) -> float:
-    """IoU of all bodies with a mask of the recorded size, over pixels with a return."""
-    height, width = own.image.labels.shape
-    mask = np.asarray(Image.open(path).convert("L").resize((width, height), Image.Resampling.NEAREST)) > 0
-    seen = own.image.view.depth > 0
-    return _iou(mask & seen, (own.image.labels > 0) & seen)
 
 
 if __name__ == "__main__":
