@@ -17,6 +17,7 @@ from kit1000.kits.height_fields import polar_relief
 from kit1000.mesh import Mesh
 from kit1000.numerics.compiled import compiled
 from kit1000.numerics.linear_algebra import matmul
+from kit1000.numerics.trigonometry import cosine, sine
 from kit1000.pose import Pose, quaternion_between, quaternion_from_rotvec
 from kit1000.symmetry import Symmetry
 
@@ -80,7 +81,7 @@ def _face(mesh: Mesh, normals: np.ndarray, probability: np.ndarray) -> RestingFa
     """The face of a group of stable facets: their most probable one stands for all."""
     normal = normals[np.argmax(np.round(probability, 6))]
     along = matmul(mesh.vertices, normal)
-    rolls = bool(matmul(normals, normals.T).min() < np.cos(ROLLING_ANGLE))
+    rolls = bool(matmul(normals, normals.T).min() < cosine(ROLLING_ANGLE))
     return RestingFace(normal, float(probability.sum()), float(along.max() - along.min()), rolls)
 
 
@@ -137,9 +138,9 @@ def tips_over(mesh: Mesh, face: RestingFace, depth: float, clearance: float) -> 
     """Whether a block as narrow as the part below the rim can tip by TIP_ANGLE without rising or jamming."""
     points = mesh.moved(face.plane_from_part).vertices
     width = narrowest_width(points[points[:, 2] <= points[:, 2].min() + depth])
-    sine, versine = np.sin(TIP_ANGLE), 1 - np.cos(TIP_ANGLE)
-    rise = width / 2 * sine + points[:, 2].min() * versine  # of the centroid, which is -min above the floor
-    jams = depth * sine > 2 * clearance + width * versine
+    tip_sine, versine = sine(TIP_ANGLE), 1 - cosine(TIP_ANGLE)
+    rise = width / 2 * tip_sine + points[:, 2].min() * versine  # of the centroid, which is -min above the floor
+    jams = depth * tip_sine > 2 * clearance + width * versine
     return bool(rise < min(TIP_RISE, depth / 3) and not jams)
 
 
@@ -223,7 +224,7 @@ def _solid_angles(triangles: np.ndarray) -> np.ndarray:
 
 def _rolling_groups(normals: np.ndarray, facets: np.ndarray, angle: float) -> list[np.ndarray]:
     """Groups of some stable facets, as arrays of indices: neighbours in a group differ by less than an angle [rad]."""
-    close = matmul(normals[facets], normals[facets].T) > np.cos(angle)
+    close = matmul(normals[facets], normals[facets].T) > cosine(angle)
     labels = np.arange(len(facets))
     while True:
         merged = np.where(close, labels[None, :], len(facets)).min(1, initial=len(facets))

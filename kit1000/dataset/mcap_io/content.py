@@ -20,7 +20,7 @@ from kit1000.errors import InputError
 from kit1000.sim.sensors import DEPTH_GRID
 
 
-def json_bytes(value: Any, what: str) -> bytes:
+def compact_bytes(value: Any, what: str) -> bytes:
     """The canonical bytes of a JSON value, floats in full precision; `what` starts the error message."""
     try:
         return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
@@ -75,9 +75,9 @@ def _camera_row(camera: Camera) -> list[float]:
 
 
 def _hash(record: Row, images: Mapping[str, np.ndarray], what: str) -> str:
-    digest = hashlib.sha256(json_bytes(record, what))
+    digest = hashlib.sha256(compact_bytes(record, what))
     for name in sorted(images):
         image = np.ascontiguousarray(images[name], dtype=images[name].dtype.newbyteorder("<"))
-        digest.update(json_bytes([name, image.dtype.str, list(image.shape)], what))
+        digest.update(compact_bytes([name, image.dtype.str, list(image.shape)], what))
         digest.update(image.data)
     return digest.hexdigest()

@@ -26,7 +26,7 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from kit1000.camera import Camera
-from kit1000.dataset.mcap_io.content import json_bytes
+from kit1000.dataset.mcap_io.content import compact_bytes
 from kit1000.dataset.png_files import png_bytes, read_png
 from kit1000.errors import checked
 from kit1000.pose import Pose
@@ -76,7 +76,7 @@ def _protobuf(kind: type) -> Schema:
 
 def json_schema(name: str, schema: Mapping[str, Any]) -> Schema:
     """The schema of rows written as JSON."""
-    return Schema(name, SchemaEncoding.JSONSchema, MessageEncoding.JSON, json_bytes(schema, name))
+    return Schema(name, SchemaEncoding.JSONSchema, MessageEncoding.JSON, compact_bytes(schema, name))
 
 
 def _message(topic: str, value: Any) -> Message:
@@ -85,7 +85,7 @@ def _message(topic: str, value: Any) -> Message:
 
 def row_message(topic: str, schema: Schema, row: Any, what: str) -> Message:
     """A row as JSON; `what` starts the error message."""
-    return Message(topic, schema, json_bytes(row, what))
+    return Message(topic, schema, compact_bytes(row, what))
 
 
 def row_of(data: bytes) -> Any:

@@ -16,7 +16,7 @@ from typing import ClassVar
 
 from mcap.writer import CompressionType, Writer
 
-from kit1000.dataset.mcap_io.content import json_bytes
+from kit1000.dataset.mcap_io.content import compact_bytes
 from kit1000.dataset.mcap_io.messages import LARGE, SECOND, Message
 from kit1000.dataset.schema import LICENCE
 from kit1000.dataset.tables import FORMAT
@@ -92,8 +92,8 @@ class ShardWriter:
             "licence": self.licence,
             "length_unit": "m",
             "depth_unit": "m",
-            "scenes": json_bytes(list(self._content), "scenes").decode(),
-            "content": json_bytes(self._content, "content").decode(),
+            "scenes": compact_bytes(list(self._content), "scenes").decode(),
+            "content": compact_bytes(self._content, "content").decode(),
         }
         return record | {"checksum": record_checksum(record)}
 
@@ -121,4 +121,4 @@ class PictureWriter(ShardWriter):
 def record_checksum(record: Mapping[str, str]) -> str:
     """The checksum of a metadata record, without its entry `checksum`."""
     plain = {key: value for key, value in record.items() if key != "checksum"}
-    return hashlib.sha256(json_bytes(plain, RECORD)).hexdigest()
+    return hashlib.sha256(compact_bytes(plain, RECORD)).hexdigest()
