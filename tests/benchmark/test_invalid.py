@@ -19,21 +19,6 @@ from kit1000.queries.tracks import CURVES
 from kit1000.submission import HEADER, Submission, check, read_submission, write_manifest
 from tests.samples.submissions import ground_truth, predicted
 
-INVALID = {  # by description: the field, its value, and the code of the fault
-    "not a number": ("qw", "nan", "not-a-number"),
-    "infinite": ("x", "inf", "not-a-number"),
-    "overflow": ("z", "1e999", "not-a-number"),
-    "text": ("qx", "abc", "not-a-number"),
-    "empty": ("y", "", "not-a-number"),
-    "long quaternion": ("qw", "3", "quaternion-norm"),
-    "far away": ("x", "1e12", "position-range"),
-    "percent": ("confidence", "90", "confidence-range"),
-    "unknown confidence": ("confidence", "high", "not-a-number"),
-    "negative seconds": ("seconds", "-7", "seconds-range"),
-    "no id": ("query_id", "", "invalid-id"),
-    "id with a blank": ("query_id", "test s0000", "invalid-id"),
-}
-
 
 @pytest.fixture
 def dataset(mini: Path) -> Dataset:
@@ -67,10 +52,29 @@ def with_field(field: str, value: str) -> Callable[[str], str]:
     return change
 
 
-def check_missing(folder: Path, dataset: Dataset, line: int, code: str) -> None:
-    """The prediction for snap counts as no motion, all others are perfect; the check reports an error."""
-    errors = check(folder).errors
-    assert [(error.line, error.code) for error in errors] == [(line, code)]
+INVALID: dict[str, tuple[Callable[[str], str], str]] = {
+    "not a number": (with_field("qw", "nan"), "not-a-number"),
+    "overflow": (with_field("z", "1e999"), "not-a-number"),
+    "unknown confidence": (with_field("confidence", "high"), "not-a-number"),
+    "a control character": (lambda line: line + "\x01", "not-a-number"),
+    "long quaternion": (with_field("qw", "3"), "quaternion-norm"),
+    "far away": (with_field("x", "1e12"), "position-range"),
+    "percent": (with_field("confidence", "90"), "confidence-range"),
+    "negative seconds": (with_field("seconds", "-7"), "seconds-range"),
+    "no id": (with_field("query_id", ""), "invalid-id"),
+    "a comment": (lambda line: "# " + line, "invalid-id"),
+    "too short": (lambda line: line.rpartition(",")[0], "fields"),
+    "too long": (lambda line: line + ",7", "fields"),
+    "an open quote": (lambda line: '"' + line, "fields"),
+}
+
+
+@pytest.mark.parametrize("case", INVALID)
+def test_an_invalid_prediction_counts_as_no_motion(case: str, perfect: Submission, dataset: Dataset) -> None:
+    change, code = INVALID[case]
+    folder, line = perfect.folder, line_of_snap(perfect.folder)
+    edit(folder, line, change)
+    assert [(error.line, error.code) for error in check(folder).errors] == [(line, code)]
     with pytest.raises(InputError, match=rf"predictions\.csv:{line}:"):
         read_submission(folder)
     submission = read_checked(folder, dataset.root, "test")
@@ -83,82 +87,40 @@ def check_missing(folder: Path, dataset: Dataset, line: int, code: str) -> None:
     assert (tracks["snap-tilt"]["coverage"], tracks["snap-tilt"]["seated"]["rate"]) == (1, 1)
 
 
-@pytest.mark.parametrize("case", INVALID)
-def test_an_invalid_prediction_counts_as_no_motion(case: str, perfect: Submission, dataset: Dataset) -> None:
-    field, value, code = INVALID[case]
-    line = line_of_snap(perfect.folder)
-    edit(perfect.folder, line, with_field(field, value))
-    check_missing(perfect.folder, dataset, line, code)
+def replaced(old: str, new: str, name: str = "predictions.csv") -> Callable[[Path], object]:
+    """Replaces a text in a file of a folder."""
+    return lambda folder: (folder / name).write_text((folder / name).read_text().replace(old, new))
 
 
-LINES: dict[str, tuple[Callable[[str], str], str]] = {
-    "too short": (lambda line: line.rpartition(",")[0], "fields"),
-    "too long": (lambda line: line + ",7", "fields"),
-    "a comment": (lambda line: "# " + line, "invalid-id"),
-    "a zero quaternion": (
-        lambda line: ",".join([line.split(",")[0], "0,0,0,0", *line.split(",")[5:]]),
-        "quaternion-norm",
+def duplicate(folder: Path) -> None:
+    path = folder / "predictions.csv"
+    path.write_text(path.read_text() + path.read_text().split("\n")[1] + "\n")
+
+
+def other_dataset(folder: Path) -> None:
+    write_manifest(folder / "manifest.toml", replace(read_submission(folder).manifest, dataset_id="0123456789abcdef"))
+
+
+FORM: dict[str, tuple[Callable[[Path], object], str]] = {
+    "no header": (replaced(",".join(HEADER) + "\n", ""), "query_id,qw,qx,qy,qz"),
+    "a duplicate": (duplicate, "line 2 has the same id"),
+    "another file": (lambda folder: (folder / "predictions.csv").write_bytes(b"PK\x03\x04"), "query_id,qw,qx,qy,qz"),
+    "semicolons": (replaced(",", ";"), "query_id,qw,qx,qy,qz"),
+    "an unknown id": (
+        lambda folder: edit(folder, 2, with_field("query_id", "test-s7777-p0-snap")),
+        "test-s7777-p0-snap",
     ),
-    "an open quote": (lambda line: '"' + line, "fields"),
-    "a control character": (lambda line: line + "\x01", "not-a-number"),
+    "a broken manifest": (replaced("learned = false", 'learned = "no"', "manifest.toml"), "learned = .*true or false"),
+    "another dataset": (other_dataset, "dataset_id = .*0123456789abcdef"),
 }
 
 
-@pytest.mark.parametrize("case", LINES)
-def test_a_line_that_is_no_prediction_counts_as_no_motion(case: str, perfect: Submission, dataset: Dataset) -> None:
-    change, code = LINES[case]
-    line = line_of_snap(perfect.folder)
-    edit(perfect.folder, line, change)
-    check_missing(perfect.folder, dataset, line, code)
-
-
-def no_header(folder: Path) -> str:
-    path = folder / "predictions.csv"
-    path.write_text(path.read_text().partition("\n")[2])
-    return "insert the header"
-
-
-def duplicate(folder: Path) -> str:
-    path = folder / "predictions.csv"
-    path.write_text(path.read_text() + path.read_text().split("\n")[1] + "\n")
-    return "one row per query, but line 2 has the same id"
-
-
-def another_file(folder: Path) -> str:
-    (folder / "predictions.csv").write_bytes(b"PK\x03\x04 and so on")
-    return "the first line is"
-
-
-def semicolons(folder: Path) -> str:
-    path = folder / "predictions.csv"
-    path.write_text(path.read_text().replace(",", ";"))
-    return "expected the header"
-
-
-def unknown_id(folder: Path) -> str:
-    edit(folder, 2, with_field("query_id", "test-s7777-p0-snap"))
-    return "expected the id of a query of this dataset"
-
-
-def broken_manifest(folder: Path) -> str:
-    path = folder / "manifest.toml"
-    path.write_text(path.read_text().replace("learned = false", 'learned = "no"'))
-    return "learned = .* expected true or false"
-
-
-def other_dataset(folder: Path) -> str:
-    write_manifest(folder / "manifest.toml", replace(read_submission(folder).manifest, dataset_id="0123456789abcdef"))
-    return "dataset_id = .*0123456789abcdef.* expected"
-
-
-FORM = (no_header, duplicate, another_file, semicolons, unknown_id, broken_manifest, other_dataset)
-
-
-@pytest.mark.parametrize("spoil", FORM, ids=lambda spoil: spoil.__name__)
+@pytest.mark.parametrize("case", FORM)
 def test_a_fault_of_form_stops_the_scoring_by_name(
-    spoil: Callable[[Path], str], perfect: Submission, dataset: Dataset, capsys: pytest.CaptureFixture[str]
+    case: str, perfect: Submission, dataset: Dataset, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    expected = spoil(perfect.folder)
+    spoil, expected = FORM[case]
+    spoil(perfect.folder)
     with pytest.raises(InputError, match=f"mine: .*{expected}"):
         read_checked(perfect.folder, dataset.root, "test")
     assert main(["score", str(perfect.folder), "--data", str(dataset.root), "--no-cache"]) == 2

@@ -1,4 +1,4 @@
-"""Checking a submission against a dataset: ids, coverage, and implausible motions."""
+"""Checking a submission against a dataset: ids, coverage, tracks and the dataset itself."""
 
 from __future__ import annotations
 
@@ -60,32 +60,37 @@ def manifest(mini: Path) -> Manifest:
     )
 
 
-def changed(truth: Predictions, rows: np.ndarray | slice, ids: dict[str, str] | None = None) -> Predictions:
-    """Some of the predictions, with some of the ids replaced."""
-    names: list[str] = np.array(truth.query_ids)[rows].tolist()
-    renamed = ids or {}
-    kept = tuple(renamed.get(name, name) for name in names)
-    return Predictions(kept, truth.motions[rows], truth.confidence[rows], truth.seconds[rows])
+@pytest.fixture
+def checked(mini: Path, manifest: Manifest, truth: Predictions, tmp_path: Path) -> Callable[..., Report]:
+    """Writes predictions, the truth if absent, with a changed manifest into tmp_path and checks them."""
+
+    def report(predictions: Predictions = truth, data: Path = mini, split: str = "test", **fields: Any) -> Report:
+        write_submission(tmp_path, replace(manifest, **fields), predictions)
+        return check(tmp_path, data, split)
+
+    return report
 
 
-def only(report: Report, code: str) -> str:
-    """The message of the only fault, which must have this code."""
+def chosen(truth: Predictions, kept: Callable[[str], bool], ids: dict[str, str] | None = None) -> Predictions:
+    """The predictions for some queries, with some of the ids replaced."""
+    rows = np.flatnonzero([kept(query_id) for query_id in truth.query_ids])
+    names = tuple((ids or {}).get(name, name) for name in (truth.query_ids[i] for i in rows))
+    return Predictions(names, truth.motions[rows], truth.confidence[rows], truth.seconds[rows])
+
+
+def only(report: Report, code: str) -> Fault:
+    """The only fault, which must have this code."""
     assert [fault.code for fault in report.faults] == [code], str(report)
-    return str(report.faults[0])
+    return report.faults[0]
 
 
-def test_the_ground_truth_has_no_fault(
-    mini: Path, manifest: Manifest, truth: Predictions, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    write_submission(tmp_path, manifest, truth)
-    report = check(tmp_path, mini)
-    assert (report.faults, report.rows, report.against_data) == ((), len(truth), True)
-    assert main(["check", str(tmp_path), "--data", str(mini)]) == 0
-    assert capsys.readouterr().out == f"{tmp_path}: {len(truth)} rows checked against the dataset: no faults\n"
-
-
-def test_no_ground_truth_and_no_mesh_is_read(
-    mini: Path, manifest: Manifest, truth: Predictions, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_the_ground_truth_has_no_fault_and_no_truth_is_read(
+    mini: Path,
+    checked: Callable[..., Report],
+    truth: Predictions,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     opened: list[str] = []
     whole = Path.open
@@ -95,26 +100,23 @@ def test_no_ground_truth_and_no_mesh_is_read(
         return whole(path, *args, **options)  # pyright: ignore[reportArgumentType, reportCallIssue]
 
     monkeypatch.setattr(Path, "open", watched)
-    write_submission(tmp_path, manifest, truth)
-    assert check(tmp_path, mini).good
+    report = checked()
+    assert (report.faults, report.rows, report.against_data) == ((), len(truth), True)
+    assert main(["check", str(tmp_path), "--data", str(mini)]) == 0
+    assert capsys.readouterr().out == f"{tmp_path}: {len(truth)} rows checked against the dataset: no faults\n"
     assert not [name for name in opened if "truth" in name or name.endswith(".glb")]
 
 
 def test_missing_predictions_are_a_warning_with_their_number_by_track(
-    mini: Path, manifest: Manifest, truth: Predictions, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    checked: Callable[..., Report], truth: Predictions
 ) -> None:
-    lost = [i for i, query_id in enumerate(truth.query_ids) if query_id.startswith("curves")][:5]
-    snap = next(i for i, query_id in enumerate(truth.query_ids) if query_id.endswith("-snap"))
-    rows = np.setdiff1d(np.arange(len(truth)), [*lost, snap])
-    write_submission(tmp_path, manifest, changed(truth, rows))
-    report = check(tmp_path, mini)
-    assert (report.good, report.errors) == (True, ())
-    assert main(["check", str(tmp_path), "--data", str(mini)]) == 0
-    assert "0 errors, 2 warnings" in capsys.readouterr().out
+    lost = [query_id for query_id in truth.query_ids if query_id.startswith("curves")][:5]
+    snap = next(query_id for query_id in truth.query_ids if query_id.endswith("-snap"))
+    report = checked(chosen(truth, lambda name: name not in (*lost, snap)))
+    assert (report.good, report.errors, report.warning_count) == (True, (), 2)
     curves, first = sorted(str(fault) for fault in report.faults)
-    names = ", ".join(truth.query_ids[i] for i in lost[:3])
-    assert f"track curves: 5 of 48 queries have no row ({names} and 2 more)" in curves
-    assert f"track snap: 1 of 1 queries have no row ({truth.query_ids[snap]})" in first
+    assert f"track curves: 5 of 48 queries have no row ({', '.join(lost[:3])} and 2 more)" in curves
+    assert f"track snap: 1 of 1 queries have no row ({snap})" in first
 
 
 def test_curves_may_leave_out_scenes_but_not_single_queries() -> None:
@@ -124,109 +126,76 @@ def test_curves_may_leave_out_scenes_but_not_single_queries() -> None:
 
     def coverage(query_ids: tuple[str, ...]) -> list[Fault]:
         rows: Any = SimpleNamespace(query_ids=query_ids, file="p.csv")
-        return list(coverage_faults(rows, [CURVES], expected))
+        return sorted(coverage_faults(rows, [CURVES], expected), key=lambda fault: fault.code)
 
     assert coverage(ids) == []
     (partial,) = coverage(ids[4:8])
     assert partial.severity == "warning"
     assert "1 of 3 scenes have predictions" in partial.actual
-    missing, partial = sorted(coverage(ids[:6]), key=lambda fault: fault.code)
+    missing, partial = coverage(ids[:6])
     assert {missing.severity, partial.severity} == {"warning"}
     assert "2 of 8 queries have no row" in missing.actual
 
 
 def test_a_file_without_a_manifest_needs_the_tracks_of_its_rows(mini: Path, truth: Predictions, tmp_path: Path) -> None:
-    rows = np.flatnonzero([not query_id.startswith("curves") for query_id in truth.query_ids])
-    write_predictions(tmp_path / "p.csv", changed(truth, rows))
+    write_predictions(tmp_path / "p.csv", chosen(truth, lambda name: not name.startswith("curves")))
     assert check(tmp_path / "p.csv", mini).faults == ()
 
 
-NAMES: dict[str, Callable[[str], str]] = {
-    "case": str.upper,
-    "underscores": lambda name: name.replace("-", "_"),
-    "leading zeros": lambda name: name.replace("s0000", "s0"),
-}
-
-
-@pytest.mark.parametrize("case", NAMES)
+@pytest.mark.parametrize(
+    "change",
+    [
+        str.upper,
+        lambda name: name.replace("-", "_"),
+        lambda name: name.replace("s0000", "s0"),
+        lambda name: "test-s7-p0",
+    ],
+)
 def test_the_closest_id_is_suggested_for_an_unknown_one(
-    case: str, mini: Path, manifest: Manifest, truth: Predictions, tmp_path: Path
+    change: Callable[[str], str], checked: Callable[..., Report], truth: Predictions
 ) -> None:
     known = next(query_id for query_id in truth.query_ids if query_id.endswith("-snap"))
-    unknown = NAMES[case](known)
-    write_submission(tmp_path, manifest, changed(truth, slice(None), {known: unknown}))
-    fault = next(fault for fault in check(tmp_path, mini).faults if fault.code == "unknown-id")
-    assert fault.actual == f'query_id = "{unknown}"'
-    assert fault.repair == f"did you mean {known}?"
+    (fault,) = checked(chosen(truth, lambda _: True, {known: change(known)})).errors
+    assert (fault.code, fault.actual) == ("unknown-id", f'query_id = "{change(known)}"')
+    assert (known in fault.repair) == (change(known) != "test-s7-p0")
 
 
-def test_an_id_without_a_close_one_is_reported(
-    mini: Path, manifest: Manifest, truth: Predictions, tmp_path: Path
-) -> None:
-    known = truth.query_ids[0]
-    write_submission(tmp_path, manifest, changed(truth, slice(None), {known: "test-s7777-p0-snap"}))
-    report = check(tmp_path, mini)
-    assert [fault.code for fault in report.errors] == ["unknown-id"]
-    assert [fault.code for fault in report.warnings] == ["missing-predictions"]
-
-
-def test_rows_of_other_splits_are_ignored(mini: Path, manifest: Manifest, truth: Predictions, tmp_path: Path) -> None:
-    dataset = Dataset(mini)
-    rows = [Prediction(query.id, Pose.identity(), 1.0, 0.0) for query in dataset.split("val").queries()]
-    both = Predictions.of(rows)
+def test_rows_of_other_splits_are_ignored(mini: Path, checked: Callable[..., Report], truth: Predictions) -> None:
+    ids = [query.id for query in Dataset(mini).split("val").queries()]
+    n = len(ids)
     both = Predictions(
-        (*truth.query_ids, *both.query_ids),
-        Pose(
-            np.concatenate([truth.motions.wxyz, both.motions.wxyz]),
-            np.concatenate([truth.motions.xyz, both.motions.xyz]),
-        ),
-        np.concatenate([truth.confidence, both.confidence]),
-        np.concatenate([truth.seconds, both.seconds]),
+        (*truth.query_ids, *ids),
+        Pose.stack([*truth.motions, *[Pose.identity()] * n]),
+        np.concatenate([truth.confidence, np.ones(n)]),
+        np.concatenate([truth.seconds, np.ones(n)]),
     )
-    write_submission(tmp_path, manifest, both)
-    message = only(check(tmp_path, mini), "other-split")
-    assert f"warning: {len(rows)} rows of split val" in message
-    assert check(tmp_path, mini, "val").good  # val has no curves, and may lack rows of a track
+    assert f"{n} rows of split val" in only(checked(both), "other-split").actual
+    assert checked(both, split="val").good  # val has no curves, and may lack rows of a track
 
 
-def test_rows_of_unlisted_tracks(mini: Path, manifest: Manifest, truth: Predictions, tmp_path: Path) -> None:
-    write_submission(tmp_path, replace(manifest, tracks=manifest.tracks[:-1]), truth)
-    assert "48 rows of track curves, which manifest.toml does not list" in only(check(tmp_path, mini), "unlisted-track")
-
-
-def test_another_dataset_is_refused_and_another_copy_is_a_warning(
-    mini: Path, manifest: Manifest, truth: Predictions, tmp_path: Path
+def test_the_dataset_and_the_tracks_of_the_manifest_are_compared(
+    mini: Path, checked: Callable[..., Report], manifest: Manifest, truth: Predictions, tmp_path: Path
 ) -> None:
-    write_submission(tmp_path, replace(manifest, dataset_id="0123456789abcdef"), truth)
-    report = check(tmp_path, mini)
-    assert not report.good
-    assert f'expected "{manifest.dataset_id}", that of --data' in only(report, "other-dataset")
-    assert report.faults[0].line == 7
-    write_submission(tmp_path, replace(manifest, dataset_checksum="0" * 64), truth)
-    report = check(tmp_path, mini)
-    assert report.good
-    assert "built on another machine" in only(report, "other-checksum")
-    write_submission(tmp_path, replace(manifest, dataset_checksum=CHECKSUM_2_0_0), truth)
-    assert check(tmp_path, mini).faults == ()  # other files of equal content
-
-
-def test_tracks_that_the_dataset_lacks_are_refused(
-    mini: Path, manifest: Manifest, truth: Predictions, tmp_path: Path
-) -> None:
+    unlisted = only(checked(tracks=manifest.tracks[:-1]), "unlisted-track")
+    assert "48 rows of track curves" in unlisted.actual
+    other = only(checked(dataset_id="0123456789abcdef"), "other-dataset")
+    assert (other.severity, other.line) == ("error", 7)
+    assert manifest.dataset_id in other.expected
+    assert only(checked(dataset_checksum="0" * 64), "other-checksum").severity == "warning"
+    assert checked(dataset_checksum=CHECKSUM_2_0_0).faults == ()  # other files of equal content
     data = tmp_path / "data"
     shutil.copytree(mini, data)
     summary = json.loads((data / "dataset.json").read_text())
     summary["config"]["curve_scenes"] = 0
     (data / "dataset.json").write_text(json.dumps(summary))
-    rows = np.flatnonzero([not query_id.startswith("curves") for query_id in truth.query_ids])
-    write_submission(tmp_path / "mine", manifest, changed(truth, rows))
-    assert 'tracks has "curves"' in only(check(tmp_path / "mine", data), "unknown-track")
+    without = chosen(truth, lambda name: not name.startswith("curves"))
+    assert only(checked(without, data), "unknown-track").actual == 'tracks has "curves"'
 
 
 def test_the_fault_of_a_manifest_without_dataset_names_the_id(
-    mini: Path, manifest: Manifest, truth: Predictions, tmp_path: Path
+    mini: Path, checked: Callable[..., Report], tmp_path: Path
 ) -> None:
-    write_submission(tmp_path, manifest, truth)
+    checked()
     path = tmp_path / "manifest.toml"
     lines = path.read_text().splitlines()
     path.write_text("\n".join(line for line in lines if not line.startswith("dataset_id")) + "\n")
@@ -234,16 +203,11 @@ def test_the_fault_of_a_manifest_without_dataset_names_the_id(
     assert fault.repair == f'add a line dataset_id = "{Dataset(mini).id}"'
 
 
-def test_no_position_and_no_motion_are_no_faults(
-    mini: Path, manifest: Manifest, truth: Predictions, tmp_path: Path
-) -> None:
-    for motions, predicts in (
-        (Pose(truth.motions.wxyz, np.zeros(3)), "rotation"),
-        (Pose.identity((len(truth),)), "pose"),
-    ):
+def test_no_position_and_no_motion_are_no_faults(checked: Callable[..., Report], truth: Predictions) -> None:
+    for motions, predicts in ((Pose(truth.motions.wxyz, np.zeros((len(truth), 3))), "rotation"),
+                              (Pose.identity((len(truth),)), "pose")):  # fmt: skip
         predictions = Predictions(truth.query_ids, motions, truth.confidence, truth.seconds)
-        write_submission(tmp_path, replace(manifest, predicts=predicts), predictions)
-        assert check(tmp_path, mini).faults == ()
+        assert checked(predictions, predicts=predicts).faults == ()
 
 
 def test_anything_but_a_dataset_is_refused(mini: Path, truth: Predictions, tmp_path: Path) -> None:
@@ -253,9 +217,6 @@ def test_anything_but_a_dataset_is_refused(mini: Path, truth: Predictions, tmp_p
     with pytest.raises(InputError, match="did you mean test"):
         check(tmp_path / "p.csv", mini, "tset")
     assert main(["check", str(tmp_path / "p.csv"), "--data", str(tmp_path)]) == 2
-
-
-def test_any_file_can_be_checked_against_a_dataset(mini: Path, tmp_path: Path) -> None:
     for content in (b"", b"\xff", b"query_id,qw,qx,qy,qz,x,y,z,confidence,seconds\n", b"a,b\n1,2\n"):
         (tmp_path / "p.csv").write_bytes(content)
         assert not check(tmp_path / "p.csv", mini).good
