@@ -29,7 +29,7 @@ def closed_solid(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> M
     Raises:
         MeshRefused: with the reason and its count.
     """
-    faces = without_duplicates(*_merged_equal_vertices(vertices, faces), notes)
+    faces = without_duplicates(vertices, _with_equal_vertices_merged(vertices, faces), notes)
     vertices, faces = _compact(vertices, faces)
     if not len(faces) or _is_sheet(vertices):
         raise MeshRefused("zero thickness")
@@ -52,19 +52,15 @@ def inverted(solid: Manifold) -> Manifold:
     return Manifold(Mesh64(np.array(raw.vert_properties), flipped))
 
 
-def _merged_equal_vertices(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The vertices, and faces with the indices of equal vertices replaced by the first of them."""
-    rows = np.ascontiguousarray(vertices + 0.0)  # -0.0 becomes 0.0
-    bits = rows.view(np.uint64)
-    with np.errstate(over="ignore"):
-        keys = bits[:, 0] * np.uint64(0x9E3779B97F4A7C15)
-        for axis in (1, 2):
-            keys = ((keys ^ (keys >> np.uint64(29))) + bits[:, axis]) * np.uint64(0xBF58476D1CE4E5B9)
-        keys ^= keys >> np.uint64(32)
-    _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
-    if not np.array_equal(rows[first[inverse]], rows):  # two vertices share a key
-        _, first, inverse = np.unique(rows, axis=0, return_index=True, return_inverse=True)
-    return vertices, first[inverse][faces]
+def _with_equal_vertices_merged(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """The faces, with the index of each vertex replaced by that of the first equal one."""
+    rows = vertices + 0.0  # -0.0 becomes 0.0
+    order = np.lexsort(rows.T)  # stable: equal vertices stay in the order of the file
+    is_new = np.ones(len(rows), dtype=bool)
+    is_new[1:] = (rows[order[1:]] != rows[order[:-1]]).any(1)
+    first = np.empty(len(rows), dtype=np.int64)
+    first[order] = order[is_new][np.cumsum(is_new) - 1]
+    return first[faces]
 
 
 def _compact(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
