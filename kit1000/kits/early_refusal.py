@@ -13,11 +13,11 @@ from functools import lru_cache
 import numpy as np
 
 from kit1000.kits.acceptance import is_goal, wrong_poses
+from kit1000.kits.cavity import SAGITTA
 from kit1000.kits.height_fields import HeightField, grown, lower_envelope
 from kit1000.kits.loose_fits import is_near_goal, poses_in_own_slot
 from kit1000.kits.prepared import PreparedPart, height_limit
 from kit1000.kits.seating import BISECTION_STEP, SEATED_LIMIT
-from kit1000.kits.sweep import SAGITTA
 from kit1000.mesh import Mesh
 from kit1000.numerics.compiled import compiled
 from kit1000.numerics.trigonometry import tangent

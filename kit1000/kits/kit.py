@@ -11,14 +11,13 @@ import numpy as np
 from manifold3d import CrossSection, Manifold
 
 from kit1000.errors import Redraw
-from kit1000.kits.cavity import MIN_SEATED_HEIGHT, MIN_WALL, Cavity, cut_cavity, insertion_depth
+from kit1000.kits.cavity import MIN_SEATED_HEIGHT, MIN_WALL, SAGITTA, Cavity, cut_cavity, insertion_depth
 from kit1000.kits.clearance import HEIGHT_COUNT, Clearance, measure_clearance
 from kit1000.kits.face import RestingFace, distinct_faces, rank_faces, resting_faces
 from kit1000.kits.goals import Design, find_goals
 from kit1000.kits.patches import EXACT, MERGED, MERGED_FILE, Detail
 from kit1000.kits.printable_mesh import printable_mesh
 from kit1000.kits.shadows import PartShadows
-from kit1000.kits.sweep import SAGITTA
 from kit1000.mesh import Mesh, solid_from_mesh
 from kit1000.numerics.linear_algebra import matmul
 from kit1000.numerics.trigonometry import cosine, sine

@@ -1,7 +1,8 @@
-"""The shadow S(z) of a standing part: its projection along z, the insertion axis, of all of it below a height z.
+"""The shadows and the underside of a standing part, from which its cavity is made.
 
-It is a section of what the part sweeps when it leaves along z. Frame: the part stands on z = 0, insertion face down.
-All lengths are metres.
+The shadow S(z) is the projection, along the insertion axis z, of all of the part below a height z. It is a section of
+what the part sweeps when it leaves along z. The underside are the faces that look down. Frame: the part stands on
+z = 0, insertion face down. All lengths are metres.
 """
 
 from __future__ import annotations
@@ -13,8 +14,10 @@ from typing import NamedTuple
 import numpy as np
 from manifold3d import CrossSection, FillRule, Manifold
 
-from kit1000.kits.underside import downward_faces
+from kit1000.mesh import mesh_from_solid
 
+WALL_COSINE = 2e-4  # faces whose unit normal has a smaller -z are walls: they sweep no more than their edges do
+LEVEL_TOLERANCE = 2e-6  # [m] a face of a smaller extent along z is level
 LEDGE_OFFSET = 0.02e-3  # [m] of a shadow above or below a ledge: lower steps are floor, not wall
 LEAST_STEP = 3e-3 / 10  # [m] of a ledge from floor and rim
 SPACING = 4e-3  # [m] at most between heights where the shadow changes
@@ -58,6 +61,20 @@ class PartShadows:
 def shadow_below(standing: Manifold, z: float) -> CrossSection:
     """S(z): the shadow of a standing solid below a height [m], its projection along z."""
     return CrossSection(standing.trim_by_plane((0, 0, -1), -z).project().to_polygons(), FillRule.Positive)
+
+
+def downward_faces(solid: Manifold) -> tuple[np.ndarray, np.ndarray]:
+    """Down-facing triangles (m, 3, 3) and which of them are level, these flattened to their lowest corner."""
+    mesh = mesh_from_solid(solid)
+    triangles = mesh.triangles[mesh.normals[:, 2] < -WALL_COSINE].copy()
+    level = np.ptp(triangles[..., 2], axis=1) < LEVEL_TOLERANCE
+    heights = np.sort(triangles[level][..., 2].min(1))
+    lowest = heights[np.diff(heights, prepend=-np.inf) > LEVEL_TOLERANCE]
+    if len(lowest):
+        own = np.searchsorted(lowest, triangles[level][..., 2].min(1), side="right") - 1
+        flattened = np.broadcast_to(lowest[own][:, None, None], (len(own), 3, 1))
+        triangles[level] = np.concatenate([triangles[level][..., :2], flattened], axis=2)
+    return triangles, level
 
 
 def _ledges(levels: list[float], depth: float) -> list[float]:

@@ -34,6 +34,7 @@ DEPTH_TOLERANCE = 1e-3  # [m] of a visible sample point behind the depth of its 
 MAX_SLOPE = 10e-3  # [m] change of a surface's depth within half a pixel; at 1 m, one seen at 86 degrees
 RIM_MARGIN = 0.3e-3  # [m] of a cavity's pixels below the top face: well over the 0.12 mm step of recorded depths
 ANGLE_DECIMALS = 9  # of a recorded angle [rad]: the last bits of an arctangent differ between processors
+PLASTIC = 1.3247179572447460 ** -np.arange(1.0, 3.0)  # two steps; the plastic number solves x^3 = x + 1
 SIDE_MARGIN = 0.5e-3  # [m] of a cavity's pixels inside the plate's other faces
 
 
@@ -79,11 +80,11 @@ def silhouette_pixels(camera: Camera, world_from_camera: Pose, mesh: Mesh, world
 
     Only its bounding box is rendered: a camera with a shifted principal point sees exactly the same pixels.
     """
-    uv = camera.project((world_from_camera.inverse() @ world_from_part).apply(mesh.vertices))
-    if np.isnan(uv).any():
+    bounds = _pixel_bounds(camera, (world_from_camera.inverse() @ world_from_part).apply(mesh.vertices))
+    if bounds is None:
         raise InputError("part: expected one wholly in front of the camera, got vertices behind it")
-    (left, top), (right, bottom) = np.floor(uv.min(0)).astype(int), np.ceil(uv.max(0)).astype(int)
-    around = Camera(right - left + 1, bottom - top + 1, camera.fx, camera.fy, camera.cx - left, camera.cy - top)
+    (left, top), (right, bottom) = bounds.astype(int)
+    around = Camera(right - left, bottom - top, camera.fx, camera.fy, camera.cx - left, camera.cy - top)
     return int(np.count_nonzero(render(around, world_from_camera, [(mesh, world_from_part)], threads=1).body_ids))
 
 
@@ -133,11 +134,13 @@ def cavity_labels(
         raise InputError(f"kits: expected one for each of {len(world_from_kits)} poses, got {len(kits)}")
     labels = np.full(depth.shape, -1, np.int16)
     intrinsics, camera_from_world = Intrinsics.of(camera), world_from_camera.inverse()
+    size = np.array([camera.width, camera.height])
     for number, (kit, world_from_kit) in enumerate(zip(kits, world_from_kits, strict=True)):
         camera_from_kit = camera_from_world @ world_from_kit
         low = kit.extent * (-0.5, -0.5, -1) + SIDE_MARGIN
         high = np.array([*(kit.extent[:2] / 2 - SIDE_MARGIN), -RIM_MARGIN])
-        window = _pixel_window(camera, camera_from_kit.apply(_box_corners(low, high)))
+        bounds = _pixel_bounds(camera, camera_from_kit.apply(_box_corners(low, high)))
+        window = np.clip([[0, 0], size] if bounds is None else bounds, 0, size).astype(int)
         rotation, translation = camera_from_kit.rotation_matrix(), camera_from_kit.xyz
         _label_box(intrinsics, depth, window, rotation, translation, low, high, number, labels)
     return labels
@@ -155,13 +158,13 @@ def cavity_surface(kit: Kit) -> CavitySurface:
     total = np.cumsum(np.linalg.norm(np.cross(u, v), axis=1))
     order = np.arange(CAVITY_SAMPLES) + 0.5
     face = np.searchsorted(total, order / CAVITY_SAMPLES * total[-1])
-    a, b = (order[:, None] * _PLASTIC % 1).T
+    a, b = (order[:, None] * PLASTIC % 1).T
     a, b = np.where(a + b > 1, 1 - a, a), np.where(a + b > 1, 1 - b, b)  # fold the square onto the triangle
     points = corner[face] + a[:, None] * u[face] + b[:, None] * v[face]
-    return CavitySurface(_read_only(points), _read_only(normals[face]))
-
-
-_PLASTIC = 1.3247179572447460 ** -np.arange(1.0, 3.0)  # the two steps; the plastic number solves x^3 = x + 1
+    surface = CavitySurface(points, normals[face])
+    for array in surface:
+        array.setflags(write=False)
+    return surface
 
 
 def _cavity_faces(kit: Kit) -> tuple[np.ndarray, np.ndarray]:
@@ -211,23 +214,23 @@ def _box_corners(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     return np.array(np.meshgrid(*np.stack([low, high], axis=1))).reshape(3, 8).T
 
 
-def _pixel_window(camera: Camera, points: np.ndarray) -> tuple[int, int, int, int]:
-    """First and last + 1 of the rows, then of the columns, that can show the hull of points (k, 3), camera frame."""
+def _pixel_bounds(camera: Camera, points: np.ndarray) -> np.ndarray | None:
+    """First and last + 1 pixel (2, 2) x, y that can show the hull of points (k, 3) [m] in the camera frame.
+
+    None if the hull extends behind the camera, since its image is then unbounded.
+    """
     uv = camera.project(points)
-    if np.isnan(uv).any():  # it extends behind the camera: its image is unbounded
-        return 0, camera.height, 0, camera.width
-    size = np.array([camera.width, camera.height])
-    left, top = np.clip(np.floor(uv.min(0)), 0, size).astype(int).tolist()
-    right, bottom = np.clip(np.ceil(uv.max(0)) + 1, 0, size).astype(int).tolist()
-    return top, bottom, left, right
+    return None if np.isnan(uv).any() else np.stack([np.floor(uv.min(0)), np.ceil(uv.max(0)) + 1])
 
 
 @compiled
 def _label_box(intrinsics, depth, window, rotation, translation, low, high, number, labels):
-    """Write `number` to `labels` (H, W) where the point of a pixel is in a box; the pose is camera_from_box."""
-    top, bottom, left, right = window
-    for v in range(top, bottom):
-        for u in range(left, right):
+    """Write `number` to `labels` (H, W) where the point of a pixel is in a box; the pose is camera_from_box.
+
+    window: (2, 2) first and last + 1 pixel x, y to look at.
+    """
+    for v in range(window[0, 1], window[1, 1]):
+        for u in range(window[0, 0], window[1, 0]):
             z = depth[v, u]
             x, y, z = (
                 (u - intrinsics.cx) / intrinsics.fx * z - translation[0],
@@ -240,8 +243,3 @@ def _label_box(intrinsics, depth, window, rotation, translation, low, high, numb
                 inside &= low[axis] <= along <= high[axis]
             if inside:
                 labels[v, u] = number
-
-
-def _read_only(array: np.ndarray) -> np.ndarray:
-    array.setflags(write=False)
-    return array

@@ -14,7 +14,7 @@ from manifold3d import CrossSection, Manifold
 
 from kit1000.kits.cavity import Cavity, insertion_depth
 from kit1000.kits.patches import EXACT, merged_underside
-from kit1000.kits.underside import WALL_COSINE
+from kit1000.kits.shadows import WALL_COSINE
 from kit1000.mesh import mesh_from_solid
 from tests.samples.shapes import (
     box,

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from manifold3d import CrossSection, Manifold
 
-from kit1000.kits.cavity import insertion_depth
+from kit1000.kits.cavity import SAGITTA, grown_sweep, insertion_depth
 from kit1000.kits.clearance import measure_clearance
 from kit1000.kits.kit import MAX_EXCESS_CLEARANCE, design_kit
 from kit1000.kits.patches import EXACT, MERGED_FILE, Detail
 from kit1000.kits.shadows import PartShadows
-from kit1000.kits.sweep import SAGITTA, grown_sweep
 from kit1000.parts.family import FILE
 from tests.samples.shapes import MM, as_part, box, standing
 
