@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import permutations
 from pathlib import Path
 
 from kit1000.dataset.mesh_files import glb_bytes, read_glb
@@ -14,7 +15,7 @@ from kit1000.generation.parts_and_kits import BUILD_FOLDER, Record, finished_rec
 from kit1000.generation.plan import MAX_CANDIDATES, draw_assembly_of
 from kit1000.generation.presets import Preset
 from kit1000.kits.assembly import build_assembly, check_assembly
-from kit1000.kits.loose_fits import find_fit_in_other_slot
+from kit1000.kits.loose_fits import seats_in_other_slot
 from kit1000.kits.prepared import PreparedKit, PreparedPart
 from kit1000.values import Assembly, Kit, Part
 
@@ -95,19 +96,12 @@ def _choose_members(job: AssemblyJob) -> tuple[list[Member], list[str]]:
         if len(members) >= (job.kits if tried < MAX_CANDIDATES else job.preset.kits[0]):
             break
         candidate = read_member(job.root, candidate_id)
-        if any(_fits_in_other_slot(candidate, other) for other in members):
+        pairs = [pair for other in members for pair in permutations((candidate, other))]
+        if seats_in_other_slot([(part.prepared_part, kit.prepared_kit) for part, kit in pairs]):
             rejected.append("seats in a neighbour's slot")
         else:
             members.append(candidate)
     return members, rejected
-
-
-def _fits_in_other_slot(a: Member, b: Member) -> bool:
-    """Whether one of two parts can rest on the floor of the other's slot."""
-    return (
-        find_fit_in_other_slot(a.prepared_part, b.prepared_kit) is not None
-        or find_fit_in_other_slot(b.prepared_part, a.prepared_kit) is not None
-    )
 
 
 def read_part_and_kit(root: Path, part_id: str) -> tuple[Part, Kit]:

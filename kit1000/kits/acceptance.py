@@ -59,16 +59,19 @@ def check_pair(part: PreparedPart, kit: PreparedKit) -> PairCheck:
     return PairCheck(yaw, find_loose_fit(part, kit) is not None)
 
 
-def seating_at(mesh: Mesh, kit: PreparedKit, pose: Pose, goal: Pose) -> SeatingResult:
-    """The seating test of a part in its kit for a pose meant for a goal: the insertion axis is +z at the goal."""
+def seating_at(mesh: Mesh, kit: PreparedKit, pose: Pose, goal: Pose, enough: float = np.inf) -> SeatingResult:
+    """The seating test of a part in its kit for a pose meant for a goal: the insertion axis is +z at the goal.
+
+    enough: as for `contact_offset`.
+    """
     part = InsertedPart.of(mesh, goal)
-    offset = contact_offset(part, kit.mesh, pose, kit.features)
+    offset = contact_offset(part, kit.mesh, pose, kit.features, enough)
     return seating_result(offset, part, pose, goal, kit.slot.depth, kit.slot.clearance)
 
 
 def fits_at(mesh: Mesh, kit: PreparedKit, pose: Pose) -> bool:
     """Whether contact alone seats a part in a pose that is meant for the design pose, at whatever rotation."""
-    return seating_at(mesh, kit, pose, kit.slot.goals[0]).fits
+    return seating_at(mesh, kit, pose, kit.slot.goals[0], enough=SEATED_LIMIT).fits
 
 
 def wrong_poses(slot: Slot) -> Iterator[tuple[str, Pose]]:

@@ -56,20 +56,21 @@ def cropped(features: ContactFeatures, low: np.ndarray, high: np.ndarray) -> Con
     )
 
 
-def vertical_contact_offset(moving: ContactFeatures, fixed: ContactFeatures) -> float:
-    """[m] along z that takes the moving body to first contact: negative when it hangs free, -inf when it falls past.
+def vertical_contact_offset(moving: ContactFeatures, fixed: ContactFeatures, enough: float = np.inf) -> float:
+    """Distance along z that takes the moving body to first contact [m]: negative if it hangs free, -inf if it misses.
 
-    moving: features from below, fixed: features from above, both in a frame whose z is the line of motion.
+    Args:
+        moving: features from below, in a frame whose z is the line of motion.
+        fixed: features from above, in the same frame.
+        enough: an offset above it [m] is not searched to its end: the result is then some number above `enough`.
     """
     if not len(moving.vertices):
         return -np.inf
     low, high = moving.vertices[:, :2].min(0), moving.vertices[:, :2].max(0)
     fixed = cropped(fixed, low, high)
-    return max(
-        highest_vertex_contact(moving.vertices, fixed.faces, 1.0),
-        highest_vertex_contact(fixed.vertices, moving.faces, -1.0),
-        highest_edge_contact(moving.edges, fixed.edges),
-    )
+    best = highest_vertex_contact(moving.vertices, fixed.faces, 1.0, -np.inf, enough)
+    best = highest_vertex_contact(fixed.vertices, moving.faces, -1.0, best, enough)
+    return highest_edge_contact(moving.edges, fixed.edges, best, enough)
 
 
 @compiled
@@ -125,9 +126,13 @@ def _cell(x, x0, scale, count):
 
 
 @compiled
-def highest_vertex_contact(points, faces, sign):
-    """max of sign * (face height - point height) over points above or below a face."""
-    best = -np.inf
+def highest_vertex_contact(points, faces, sign, best, enough):
+    """max of `best` and of sign * (face height - point height) over points above or below a face.
+
+    Stops at the first number above `enough`.
+    """
+    if best > enough:
+        return best
     x0, y0, sx, sy, nx, ny, first, shapes = _bins(points[:, :2], points[:, :2])
     for f in range(faces.shape[0]):
         ax, ay, az = faces[f, 0]
@@ -154,13 +159,19 @@ def highest_vertex_contact(points, faces, sign):
                     w = 1.0 - u - v
                     if u >= slack and v >= slack and w >= slack:
                         best = max(best, sign * (u * az + v * bz + w * cz - points[p, 2]))
+        if best > enough:
+            break
     return best
 
 
 @compiled
-def highest_edge_contact(moving, fixed):
-    """max of (fixed height - moving height) over the crossings of two sets of projected edges."""
-    best = -np.inf
+def highest_edge_contact(moving, fixed, best, enough):
+    """max of `best` and of (fixed height - moving height) over the crossings of two sets of projected edges.
+
+    Stops at the first number above `enough`.
+    """
+    if best > enough:
+        return best
     low, high = np.empty((fixed.shape[0], 2)), np.empty((fixed.shape[0], 2))
     for s in range(fixed.shape[0]):
         for i in range(2):
@@ -189,4 +200,6 @@ def highest_edge_contact(moving, fixed):
                     u = ((px - ax) * dy - (py - ay) * dx) / across
                     if 0.0 <= t <= 1.0 and 0.0 <= u <= 1.0:
                         best = max(best, pz + u * (qz - pz) - az - t * (bz - az))
+        if best > enough:
+            break
     return best

@@ -14,8 +14,9 @@ Kit frame; metres and radians.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -83,17 +84,30 @@ def find_loose_fit(part: PreparedPart, kit: PreparedKit) -> Pose | None:
     """A kit_from_part pose that is near no goal and seats the part in its own slot, or None."""
     goals, limit = kit.slot.goals.xyz[:, 2], kit.height_limit
     for resting, lift in _faces_near_goals(part, kit.slot):
-        for candidate in _candidates(part.mesh, resting, kit, lift, away_from_goals=True):
+        highest = float(goals.max()) + limit - (resting.origin_height - kit.slot.depth)
+        for candidate in _candidates(part.mesh, resting, kit, lift, highest, away_from_goals=True):
             if np.abs(candidate.xyz[2] + candidate.contact_offset - goals).min() <= limit - BISECTION_STEP:
                 return candidate.pose
     return _fit_beyond_goal(part.mesh, kit)
 
 
-def find_fit_in_other_slot(part: PreparedPart, kit: PreparedKit) -> Pose | None:
-    """A kit_from_part pose in which a part rests on the floor of a slot made for another part, or None."""
+def seats_in_other_slot(pairs: Sequence[tuple[PreparedPart, PreparedKit]]) -> bool:
+    """Whether some part rests on the floor of a slot made for another part, of pairs (part, kit)."""
+    batches = product(range(YAW_BATCHES), pairs)  # a quarter of the yaws decides most pairs with a fit
+    return any(find_fit_in_other_slot(part, kit, [batch]) is not None for batch, (part, kit) in batches)
+
+
+def find_fit_in_other_slot(
+    part: PreparedPart, kit: PreparedKit, batches: Sequence[int] = range(YAW_BATCHES)
+) -> Pose | None:
+    """A kit_from_part pose in which a part rests on the floor of a slot made for another part, or None.
+
+    batches: of yaws to search.
+    """
+    limit = kit.height_limit
     for resting in part.resting:
-        for candidate in _candidates(part.mesh, resting, kit, kit.height_limit):
-            if candidate.contact_offset <= kit.height_limit - BISECTION_STEP:
+        for candidate in _candidates(part.mesh, resting, kit, limit, limit - BISECTION_STEP, batches=batches):
+            if candidate.contact_offset <= limit - BISECTION_STEP:
                 return candidate.pose
     return None
 
@@ -148,30 +162,45 @@ def _faces_near_goals(part: PreparedPart, slot: Slot) -> Iterator[tuple[RestingP
 
 
 def _candidates(
-    mesh: Mesh, resting: RestingPart, kit: PreparedKit, lift: float, away_from_goals: bool = False
+    mesh: Mesh,
+    resting: RestingPart,
+    kit: PreparedKit,
+    lift: float,
+    highest: float,
+    *,
+    away_from_goals: bool = False,
+    batches: Sequence[int] = range(YAW_BATCHES),
 ) -> Iterator[Candidate]:
     """Poses of a part on one face that the height field allows, with the part's lowest point on the floor, and shifts
     of each by REFINE_STEP.
 
-    lift: height above the floor at which the height field must be clear [m].
-    away_from_goals: leave out a pose if one of its shifts may be near a goal.
+    Args:
+        mesh: of the part.
+        resting: the part on the face.
+        kit: the kit.
+        lift: height above the floor at which the height field must be clear [m].
+        highest: contact above it is not searched to its end [m].
+        away_from_goals: leave out a pose if one of its shifts may be near a goal.
+        batches: of yaws to search.
     """
-    for rotation, middle in _poses_on_floor(resting, kit.field, lift):
+    for rotation, middle in _poses_on_floor(resting, kit.field, lift, batches):
         if away_from_goals and is_near_goal(Pose.from_rotation_matrix(rotation, middle), kit.slot, REFINE_STEP):
             continue
         moving = contact_features(mesh, rotation, np.zeros(3), -1.0)
         for shift in REFINED_SHIFTS:
             xyz = middle + [*shift, 0]
             shifted = ContactFeatures(moving.vertices + xyz, moving.edges + xyz, moving.faces + xyz)
-            yield Candidate(rotation, xyz, vertical_contact_offset(shifted, kit.features))
+            yield Candidate(rotation, xyz, vertical_contact_offset(shifted, kit.features, highest))
 
 
-def _poses_on_floor(resting: RestingPart, field: HeightField, lift: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def _poses_on_floor(
+    resting: RestingPart, field: HeightField, lift: float, batches: Sequence[int] = range(YAW_BATCHES)
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """For each yaw with a shift that a height field allows: rotation (3, 3) and the mean of these shifts (3,) [m]."""
     points = resting.underside[resting.underside[:, 2] < field.depth]
     low, high = field.opening
     search = (points, field.heights, *field.origin, field.cell, *low, *high, field.depth, lift)
-    for batch in range(YAW_BATCHES):
+    for batch in batches:
         turns = TURNS[batch::YAW_BATCHES]
         for k, dx, dy in _feasible_shifts(*search, turns):
             c, s = turns[int(k)]
@@ -186,22 +215,25 @@ def _feasible_shifts(points, heights, x0, y0, cell, low_x, low_y, high_x, high_y
     turns: (n, 2) cosine and sine of the yaw.
     """
     found = np.empty((turns.shape[0], 3))
-    count = 0
+    count, hit = 0, 0
     rotated = np.empty((points.shape[0], 2))
     for k in range(turns.shape[0]):
         c, s = turns[k]
         left, right, near, far = np.inf, -np.inf, np.inf, -np.inf
         for p in range(points.shape[0]):
-            x, y = c * points[p, 0] - s * points[p, 1], s * points[p, 0] + c * points[p, 1]
-            rotated[p, 0], rotated[p, 1] = x, y
             if points[p, 2] < depth / 2 - limit:
+                x, y = c * points[p, 0] - s * points[p, 1], s * points[p, 0] + c * points[p, 1]
                 left, right, near, far = min(left, x), max(right, x), min(near, y), max(far, y)
         room_x, room_y = high_x - right - low_x + left, high_y - far - low_y + near
         if not (room_x >= 0 and room_y >= 0):
             continue
+        for p in range(points.shape[0]):
+            rotated[p, 0] = c * points[p, 0] - s * points[p, 1]
+            rotated[p, 1] = s * points[p, 0] + c * points[p, 1]
         steps_x, steps_y = int(room_x / SHIFT_STEP) + 1, int(room_y / SHIFT_STEP) + 1
         sum_x, sum_y, hits = low_x - left + room_x / 2, low_y - near + room_y / 2, 1
-        if _is_clear(points, rotated, heights, x0, y0, cell, sum_x, sum_y, limit - depth):
+        hit = _collision(points, rotated, heights, x0, y0, cell, sum_x, sum_y, limit - depth, hit)
+        if hit < 0:
             steps_x = steps_y = -1  # the middle of the room is enough
         else:
             sum_x, sum_y, hits = 0.0, 0.0, 0
@@ -209,7 +241,8 @@ def _feasible_shifts(points, heights, x0, y0, cell, low_x, low_y, high_x, high_y
             dx = low_x - left + room_x * i / steps_x
             for j in range(steps_y + 1):
                 dy = low_y - near + room_y * j / steps_y
-                if _is_clear(points, rotated, heights, x0, y0, cell, dx, dy, limit - depth):
+                hit = _collision(points, rotated, heights, x0, y0, cell, dx, dy, limit - depth, hit)
+                if hit < 0:
                     sum_x, sum_y, hits = sum_x + dx, sum_y + dy, hits + 1
         if hits:
             found[count, 0], found[count, 1], found[count, 2] = k, sum_x / hits, sum_y / hits
@@ -218,14 +251,16 @@ def _feasible_shifts(points, heights, x0, y0, cell, low_x, low_y, high_x, high_y
 
 
 @compiled
-def _is_clear(points, rotated, heights, x0, y0, cell, dx, dy, lift):
-    for p in range(points.shape[0]):
+def _collision(points, rotated, heights, x0, y0, cell, dx, dy, lift, last):
+    """Index of a point below the height field, -1 if there is none; the `last` one found is tried first."""
+    for n in range(-1 if last >= 0 else 0, points.shape[0]):
+        p = last if n < 0 else n
         i, j = round((rotated[p, 0] + dx - x0) / cell), round((rotated[p, 1] + dy - y0) / cell)
         if i < 0 or j < 0 or i >= heights.shape[0] or j >= heights.shape[1]:
             continue
         if heights[i, j] > points[p, 2] + lift:
-            return False
-    return True
+            return p
+    return -1
 
 
 @dataclass(frozen=True, eq=False)
@@ -321,11 +356,12 @@ def _exact_fit(
 ) -> Pose | None:
     """The first pose of a pattern search for the lowest contact that touches at an accepted height."""
 
-    def height(state: np.ndarray) -> tuple[float, np.ndarray]:
+    def height(state: np.ndarray, enough: float) -> tuple[float, np.ndarray]:
         rotation, features = part.features(state)
-        return np.round(vertical_contact_offset(features, kit) * LENGTH_SCALE) / LENGTH_SCALE, rotation
+        offset = vertical_contact_offset(features, kit, enough + 1 / LENGTH_SCALE)
+        return np.round(offset * LENGTH_SCALE) / LENGTH_SCALE, rotation
 
-    best, rotation = height(state)
+    best, rotation = height(state, np.inf)
     steps, trials, found = FIRST_STEPS / 2, 1, True
     while not accepts(best) and trials < EXACT_TRIALS:
         found = False
@@ -336,7 +372,7 @@ def _exact_fit(
                 if accepts(best) or not (low[k] <= other[k] <= high[k]) or np.hypot(*other[3:]) > MOST_TILT:
                     continue
                 trials += 1
-                lower, turned = height(other)
+                lower, turned = height(other, best)
                 if lower < best:
                     state, best, rotation, found = other, lower, turned, True
         if not found:

@@ -69,20 +69,31 @@ class SeatingResult:
 
 
 def contact_offset(
-    part: InsertedPart, fixed: Mesh, fixed_from_part: Pose, fixed_features: ContactFeatures | None = None
+    part: InsertedPart,
+    fixed: Mesh,
+    fixed_from_part: Pose,
+    fixed_features: ContactFeatures | None = None,
+    enough: float = np.inf,
 ) -> float:
-    """[m] along the carried axis that takes the part to first contact with the fixed bodies; closed form.
+    """Distance along the carried axis that takes the part to first contact with the fixed bodies [m]; closed form.
 
-    Negative when it hangs free, -inf when nothing is below it. fixed_features: the contact features of the fixed bodies
-    from +z of their frame; callers that test many poses pass them once, for the poses whose carried axis is z.
+    Negative if the part hangs free, -inf if nothing is below it.
+
+    Args:
+        part: the part.
+        fixed: the fixed bodies.
+        fixed_from_part: the pose.
+        fixed_features: the contact features of the fixed bodies from +z of their frame. Callers that test many poses
+            pass them once, for the poses whose carried axis is z.
+        enough: an offset above it [m] is not searched to its end: the result is then some number above `enough`.
     """
     rotation, axis = fixed_from_part.rotation_matrix(), fixed_from_part.rotate(part.axis)
     if fixed_features is not None and axis[2] > 1 - PARALLEL_TOLERANCE:
         moving = contact_features(part.mesh, rotation, fixed_from_part.xyz, -1.0)
-        return vertical_contact_offset(moving, fixed_features)
+        return vertical_contact_offset(moving, fixed_features, enough)
     axis_to_z = Pose(quaternion_between(axis, UP), np.zeros(3)).rotation_matrix()
     moving = contact_features(part.mesh, matmul(axis_to_z, rotation), matmul(axis_to_z, fixed_from_part.xyz), -1.0)
-    return vertical_contact_offset(moving, contact_features(fixed, axis_to_z, np.zeros(3), 1.0))
+    return vertical_contact_offset(moving, contact_features(fixed, axis_to_z, np.zeros(3), 1.0), enough)
 
 
 def seating_result(
