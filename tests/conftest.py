@@ -19,9 +19,8 @@ from kit1000.export import own_part
 from kit1000.generation import parts_and_kits, shards
 from kit1000.generation.build import generate
 from kit1000.generation.presets import PRESETS
-from kit1000.kits.acceptance import PairCheck
-from kit1000.kits.choice import Attempt, accepted_kit, attempts
 from kit1000.kits.kit import KitDesign, Plate
+from kit1000.kits.kit_trials import Attempt, PairCheck, accepted_kit, attempts
 from kit1000.pictures import lighting, shading
 from kit1000.values import LabelledDepth, Part
 from tests.samples.checkout import ROOT

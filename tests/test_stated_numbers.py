@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kit1000.kits.acceptance import is_goal
+from kit1000.kits.goals import is_goal
 from kit1000.kits.seating import HOVER, InsertedPart, is_rotation_seated, seating_result
 from kit1000.metrics.exact_seating import ContactInterval
 from kit1000.pose import Pose

@@ -96,13 +96,14 @@ CHANGES: dict[tuple[str, str], tuple[tuple[str, str], ...]] = {
         ("MAX_GROUP_ORDER = 120", "MAX_GROUP_ORDER = 119"),
         ("and np.any(_tilt(g, self.axis) > tol)", "and False"),
     ),
-    ("kit1000/kits/seating.py", "stated_numbers kits/seating"): (
+    ("kit1000/kits/seating.py", "stated_numbers kits/seating kits/kit_trials"): (
         ("SEATED_LIMIT = 3e-3", "SEATED_LIMIT = 3.1e-3"),
         ("abs(height) <= deep - BISECTION_STEP", "height <= deep - BISECTION_STEP"),
         ("deep = min(limit, depth / 3)", "deep = limit"),
         ("HOVER = 0.1 ", "HOVER = 0.05 "),
         ("ROTATION_LIMIT = np.radians(10)", "ROTATION_LIMIT = np.radians(11)"),
         ("near and passes(STRICT_LIMIT)", "passes(STRICT_LIMIT)"),
+        ("WRONG_TILT = np.radians(20)", "WRONG_TILT = np.radians(22)"),
     ),
     ("kit1000/kits/contact.py", "kits/contact"): (
         ("facing[adjacent] > -WALL_COSINE).any(1)", "facing[adjacent] > -WALL_COSINE).all(1)"),
@@ -115,7 +116,8 @@ CHANGES: dict[tuple[str, str], tuple[tuple[str, str], ...]] = {
         ("(below + z) / 2 if probes else 0.0", "0.0"),
         ("removed = removed + thin", "removed = thin"),
     ),
-    ("kit1000/kits/goals.py", "kits/goals"): (
+    ("kit1000/kits/goals.py", "stated_numbers kits/goals"): (
+        ("shift < SEATED_LIMIT / 3", "shift < SEATED_LIMIT"),
         ("SHADOW_TOLERANCE = 0.05e-3", "SHADOW_TOLERANCE = 0.06e-3"),
         ("range(36, 1, -1)", "range(4, 1, -1)"),
         (
@@ -124,11 +126,9 @@ CHANGES: dict[tuple[str, str], tuple[tuple[str, str], ...]] = {
         ),
         ("2 * np.arctan2(matmul(v, axis.direction), w)", "np.arctan2(matmul(v, axis.direction), w)"),
     ),
-    ("kit1000/kits/acceptance.py", "stated_numbers kits/acceptance"): (
-        ("WRONG_TILT = np.radians(20)", "WRONG_TILT = np.radians(22)"),
+    ("kit1000/kits/kit_trials.py", "kits/kit_trials"): (
         ("seating_at(mesh, kit, goal, goal).strict", "seating_at(mesh, kit, goal, goal).seated"),
         ("for s in (1, -1)):", "for s in (1,)):"),
-        ("shift < SEATED_LIMIT / 3", "shift < SEATED_LIMIT"),
     ),
     ("kit1000/kits/loose_fits.py", "kits/loose_fits"): (
         ("MOST_TILT = np.radians(5)", "MOST_TILT = np.radians(9)"),
@@ -152,7 +152,7 @@ CHANGES: dict[tuple[str, str], tuple[tuple[str, str], ...]] = {
         ("(math.acos(cosines[u]) - start) / (end - start)", "(math.acos(cosines[u]) - start) / end"),
         ("return ahead if abs(ahead) < abs(back) else back", "return back"),
     ),
-    ("kit1000/sim/rims.py", "stated_numbers sim/sensors"): (
+    ("kit1000/sim/depth_edges.py", "stated_numbers sim/sensors"): (
         ("np.rint(value / step) * step", "np.floor(value / step) * step"),
         ("edges[u]) & (abs(b) <= edges[u])", "edges[u]) | (abs(b) <= edges[u])"),
         ("chance[y, x] >= share", "chance[y, x] < share"),
@@ -171,11 +171,9 @@ CHANGES: dict[tuple[str, str], tuple[tuple[str, str], ...]] = {
         ("hashlib.sha256(salt.encode() + dataset_id.encode())", "hashlib.sha256(dataset_id.encode())"),
         ('"seed": None,', '"seed": summary["seed"],'),
     ),
-    ("kit1000/dataset/asked_queries.py", "dataset/asked_queries"): (
+    ("kit1000/dataset/scene_queries.py", "dataset/scene_queries"): (
         ("PAPER_TILT = float(np.radians(15))", "PAPER_TILT = float(np.radians(20))"),
         ("return np.maximum(np.abs(np.arctan2(y, z))", "return np.minimum(np.abs(np.arctan2(y, z))"),
-    ),
-    ("kit1000/generation/scene_queries.py", "dataset/asked_queries"): (
         ("if part.invisibility is None]\n    pivots", "]\n    pivots"),
         ("if part.invisibility is None]\n    able", "]\n    able"),
     ),

@@ -15,10 +15,9 @@ from kit1000.dataset.mesh_files import glb_bytes, stl_bytes
 from kit1000.dataset.tables import pose_row
 from kit1000.errors import InputError, Kit1000Error, MeshRefused, Redraw, internal_error
 from kit1000.files import check_writable, clear_partial, sha256, with_checksum, write_bytes, write_json
-from kit1000.kits.acceptance import NOT_SEATED
 from kit1000.kits.cavity import SAGITTA
-from kit1000.kits.choice import Attempt, attempts
 from kit1000.kits.kit import CLEARANCE, KitDesign
+from kit1000.kits.kit_trials import NOT_SEATED, Attempt, attempts
 from kit1000.kits.printable_mesh import SIMPLIFY_TOLERANCE, closed_on_grid
 from kit1000.kits.seating import BISECTION_STEP
 from kit1000.mesh import Mesh, defect_float32, mesh_from_solid, solid_from_mesh

@@ -16,9 +16,8 @@ from kit1000.errors import InputError, Redraw
 from kit1000.files import read_json, sha256, write_bytes, write_json
 from kit1000.generation.plan import draw_part
 from kit1000.generation.presets import Preset
-from kit1000.kits.acceptance import PairCheck
-from kit1000.kits.choice import accepted_kit
 from kit1000.kits.kit import UNIT_PLATE, KitDesign, Plate
+from kit1000.kits.kit_trials import PairCheck, accepted_kit
 from kit1000.numerics.linear_algebra import length
 from kit1000.parts.family import make_part
 from kit1000.parts.near_duplicates import shape_measures

@@ -12,14 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kit1000.dataset.asked_queries import PartInScene
+from kit1000.dataset.scene_queries import PartInScene, asking_tracks, scene_queries
 from kit1000.dataset.scene_records import part_truth_row, scene_models, segmentation
 from kit1000.dataset.schema import Observation, SceneTruth
 from kit1000.dataset.tables import Row
 from kit1000.errors import Redraw
 from kit1000.generation.plan import is_crowded, rest_modes, scene_id_of
 from kit1000.generation.presets import Preset
-from kit1000.generation.scene_queries import asking_tracks, scene_queries
 from kit1000.mesh import Mesh
 from kit1000.pictures.scene_preview import with_previews
 from kit1000.pose import Pose

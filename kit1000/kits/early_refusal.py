@@ -1,78 +1,68 @@
-"""Faces whose kit surely fails a trial, told before any kit is cut: the part seats in a wrong pose all the same.
+"""Early refusal: find out, before a kit is cut, that it surely fails a trial because the part also seats elsewhere.
 
-The kit stands for a height field that nowhere lies below its surface, the part for points of its own that nowhere lie
-farther apart than a step. Contact found with both is no lower than contact with the kit, up to that step. So what seats
-here seats in the kit. What does not is left to the exact trials. Kit frame; all lengths are metres.
+We replace the kit by columns of a height field that is never below its surface, and the part by sample points of its
+surface. If the part seats in this approximation, it also seats in the real kit. If it does not, the exact trials
+decide. Kit frame; all lengths are metres.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property
 
 import numpy as np
 
-from kit1000.kits.acceptance import is_goal, wrong_poses
 from kit1000.kits.cavity import SAGITTA
+from kit1000.kits.goals import is_goal
 from kit1000.kits.height_fields import HeightField, grown, lower_envelope
 from kit1000.kits.loose_fits import is_near_goal, poses_in_own_slot
 from kit1000.kits.prepared import PreparedPart, height_limit
-from kit1000.kits.seating import BISECTION_STEP, SEATED_LIMIT
-from kit1000.mesh import Mesh
+from kit1000.kits.seating import BISECTION_STEP, SEATED_LIMIT, wrong_poses
 from kit1000.numerics.compiled import compiled
 from kit1000.numerics.trigonometry import tangent
 from kit1000.pose import Pose
 from kit1000.values import Slot
 
-MIN_CELLS, MAX_CELLS = 80, 600  # of the stand-in along the part's longest side
-RESOLUTIONS = (10, 20)  # cells in a clearance, tried in turn: a finer stand-in tells more and takes four times as long
-DENSE_FACES = 3000  # of a part, above which cutting its kit takes longer than the second stand-in
+DENSE_FACES = 1000  # of a part: with fewer faces, a kit is cut as fast as it is refused early
+MIN_CELLS, MAX_CELLS = 80, 600  # of the columns along the part's longest side
+CELLS_PER_CLEARANCE = 20  # finer columns find more and take four times as long
 STEPS_PER_LIMIT = 6  # points this fine leave five sixths of the height below which a part counts as seated
-MAX_STEPS = 800  # along the part's longest side: for a part flatter than that nothing is told early
+MAX_STEPS = 800  # along the part's longest side: a part flatter than that is not refused early
 MOST_LEAN = tangent(float(np.radians(20)))  # of the direction in which a tilted part moves
-FEW = 61  # one point in so many is tried first: where the part collides, it mostly tells
+FEW = 61  # one point in so many is tried first: if the part collides, it mostly collides there
 ROUNDING = 1e-9  # [m]
 HALF_DIAGONAL = np.sqrt(0.5)  # of a square: no point is farther from the nearest of a grid
 
 
 def sure_refusal(part: PreparedPart, slot: Slot) -> str | None:
-    """Why the kit with a slot surely fails the trials; None when they have to be made.
+    """Why the kit with a slot surely fails the trials; None if they have to be made.
 
-    They may fail for another reason before they come to this one.
+    The trials may fail for another reason before they come to this one.
     """
-    finest = np.inf
-    for resolution in RESOLUTIONS if len(part.mesh.faces) > DENSE_FACES else RESOLUTIONS[:1]:
-        stand_in = _StandIn.of(part, slot, resolution)
-        if stand_in is None or stand_in.cell >= finest:
-            return None
-        finest, refusal = stand_in.cell, stand_in.refusal()
-        if refusal is not None:
-            return refusal
-    return None
+    approximation = _Approximation.of(part, slot) if len(part.mesh.faces) >= DENSE_FACES else None
+    return None if approximation is None else approximation.refusal()
 
 
 @dataclass(frozen=True, eq=False)
-class _StandIn:
-    """What stands for a kit and its part: columns of the plate, and points of the part."""
+class _Approximation:
+    """A kit as columns, and a part as points."""
 
     part: PreparedPart
     slot: Slot
     columns: np.ndarray
-    """(nx, ny) [m] heights of their tops, which nowhere lie below the plate's surface, and not below its floor."""
-    sides: np.ndarray
-    """(nx, ny) [m] the lowest top of a column and its neighbours: below it the column's side is hidden."""
+    """Heights of their tops, (nx, ny) [m]: nowhere below the plate's surface, and not below its floor."""
     corner: np.ndarray
-    """(2,) [m] centre of the first column."""
+    """Centre of the first column, (2,) [m]."""
     cell: float
-    """[m] between columns."""
+    """Distance between columns [m]."""
     step: float
-    """[m] every point of the part is within this distance of one that stands for it."""
+    """Largest distance from a point of the part to the nearest sample point [m]."""
 
     @staticmethod
-    def of(part: PreparedPart, slot: Slot, resolution: int) -> _StandIn | None:
-        """The stand-in with so many cells in a clearance, or None where it is too coarse to tell anything."""
+    def of(part: PreparedPart, slot: Slot) -> _Approximation | None:
+        """The approximation, or None if it is too coarse to find anything."""
         depth, clearance, longest = slot.depth, slot.clearance, float(part.mesh.extents.max())
-        cell = float(np.clip(clearance / resolution, longest / MAX_CELLS, longest / MIN_CELLS))
+        cell = float(np.clip(clearance / CELLS_PER_CLEARANCE, longest / MAX_CELLS, longest / MIN_CELLS))
         step = min(height_limit(slot) / STEPS_PER_LIMIT, cell)
         reach = (clearance - SAGITTA) / cell - HALF_DIAGONAL
         if reach < 1 or step < longest / MAX_STEPS:
@@ -80,7 +70,19 @@ class _StandIn:
         placed = part.mesh.moved(slot.goals[0])
         heights, corner = lower_envelope(placed, cell, clearance + MOST_LEAN * depth + 4 * cell)
         columns = np.maximum(-grown(np.maximum(-heights, 0.0), reach), -depth)
-        return _StandIn(part, slot, columns, _lowest_of_neighbours(columns), corner, cell, step)
+        return _Approximation(part, slot, columns, corner, cell, step)
+
+    @cached_property
+    def points(self) -> np.ndarray:
+        """Sample points of the part's surface, (n, 3) [m] in its own frame."""
+        return surface_points(self.part.mesh.triangles, self.step)
+
+    @cached_property
+    def sides(self) -> np.ndarray:
+        """The lowest top of each column and its neighbours, (nx, ny) [m]: below it the column's sides are hidden."""
+        padded = np.pad(self.columns, 1, constant_values=np.inf)
+        lines = np.minimum(np.minimum(padded[:-2], padded[1:-1]), padded[2:])
+        return np.minimum(np.minimum(lines[:, :-2], lines[:, 1:-1]), lines[:, 2:])
 
     def refusal(self) -> str | None:
         """Why the kit surely fails the trials, or None."""
@@ -111,41 +113,34 @@ class _StandIn:
         return False
 
     def _offsets_to_contact(self, pose: Pose, lean: np.ndarray, enough: float) -> np.ndarray:
-        """(2,) [m] the least and the most along z to first contact of a part that moves along (*lean, 1).
+        """The least and the greatest possible offset along z to first contact, (2,) [m].
 
-        Where the most is more than `enough` [m], it is some of what is more.
+        lean: the part moves along (*lean, 1).
+        enough: a contact above it is not searched to its end [m].
         """
-        points, depth = surface_points(self.part.mesh, self.step), self.slot.depth
-        field = (self.columns, self.sides, *self.corner, self.cell)
-        limit = enough - self.step + ROUNDING
-        most, lowest = _offset_to_contact(points, pose.rotation_matrix(), pose.xyz, *field, *lean, depth, limit)
+        depth, field = self.slot.depth, (self.corner[0], self.corner[1], self.cell)
+        tops = self.columns
+        if np.abs(lean).max() > 1e-9:
+            tops = _sheared(self.columns, self.sides, self.cell, *lean, depth)
+        moved = (self.points, pose.rotation_matrix(), pose.xyz)
+        most, lowest = _first_contact(*moved, tops, *field, *lean, enough - self.step + ROUNDING)
         # contact is no lower than where the lowest point of the part is on the floor
         return np.array([-depth - lowest - self.step, most + self.step])
 
     def _height_above(self, goal: float) -> float:
-        """[m] up to which a part is at a goal of a height [m]."""
+        """The height up to which a part is at a goal of a height [m]."""
         return goal + height_limit(self.slot) - BISECTION_STEP
 
     def _is_at_height(self, heights: np.ndarray, goal: float) -> bool:
         return bool(np.abs(heights - goal).max() <= height_limit(self.slot) - BISECTION_STEP)
 
 
-def _lowest_of_neighbours(columns: np.ndarray) -> np.ndarray:
-    """(nx, ny) the least of each cell and its neighbours."""
-    padded = np.pad(columns, 1, constant_values=np.inf)
-    lines = np.minimum(np.minimum(padded[:-2], padded[1:-1]), padded[2:])
-    return np.minimum(np.minimum(lines[:, :-2], lines[:, 1:-1]), lines[:, 2:])
-
-
-@lru_cache(maxsize=4)
-def surface_points(mesh: Mesh, step: float) -> np.ndarray:
-    """(n, 3) [m] points on a mesh: every point of it is within a step of one of them."""
-    return _spread(mesh.triangles, step)
-
-
 @compiled
-def _spread(triangles, step):
-    """Points on triangles, in rows along the longest side of each: rows and the points in them are a step apart."""
+def surface_points(triangles, step):
+    """(n, 3) points on triangles (m, 3, 3), in rows along the longest side of each.
+
+    Rows and the points in them are at most a step apart.
+    """
     points = np.empty((1024, 3))
     count = 0
     for t in range(triangles.shape[0]):
@@ -182,32 +177,36 @@ def _spread(triangles, step):
 
 
 @compiled
-def _offset_to_contact(points, rotation, shift, tops, sides, x0, y0, cell, lean_x, lean_y, depth, enough):
-    """[m] along z that takes moved points to first contact with columns when they move along (lean_x, lean_y, 1).
+def _sheared(tops, sides, cell, lean_x, lean_y, depth):
+    """(nx, ny) the highest point of the columns that is seen along (lean_x, lean_y, 1), where that line meets z = 0.
 
-    Also returns the height [m] of the lowest point; both of fewer points where the contact is above `enough` [m].
-    rotation (3, 3), shift (3,): of the points. tops, sides: (nx, ny) [m] of the columns, which reach down to -depth;
-    beside them the plate's top is at 0.
+    tops, sides: (nx, ny) of the columns, which reach down to -depth.
     """
     nx, ny = tops.shape
-    seen = tops  # the highest point of the columns that is seen along the direction, where it meets z = 0
-    most = max(abs(lean_x), abs(lean_y))
-    if most > 1e-9:
-        seen = np.empty((nx, ny))
-        for i in range(nx):
-            for j in range(ny):
-                seen[i, j] = -depth
-        down, right, ahead = cell / (2 * most), lean_x / cell, lean_y / cell
-        for i in range(nx):
-            for j in range(ny):
-                z = tops[i, j]
-                while z > -depth:
-                    p, q = i + round(-z * right), j + round(-z * ahead)
-                    if 0 <= p < nx and 0 <= q < ny and seen[p, q] < z:
-                        seen[p, q] = z
-                    z -= down
-                    if z <= sides[i, j]:
-                        break
+    seen = np.full((nx, ny), -depth)
+    down, right, ahead = cell / (2 * max(abs(lean_x), abs(lean_y))), lean_x / cell, lean_y / cell
+    for i in range(nx):
+        for j in range(ny):
+            z = tops[i, j]
+            while z > -depth:
+                p, q = i + round(-z * right), j + round(-z * ahead)
+                if 0 <= p < nx and 0 <= q < ny and seen[p, q] < z:
+                    seen[p, q] = z
+                z -= down
+                if z <= sides[i, j]:
+                    break
+    return seen
+
+
+@compiled
+def _first_contact(points, rotation, shift, tops, x0, y0, cell, lean_x, lean_y, enough):
+    """The offset along z that takes moved points to first contact with columns, and the height of the lowest point.
+
+    rotation (3, 3), shift (3,): of the points. tops: (nx, ny) of the columns, sheared if the points move along
+    (lean_x, lean_y, 1); beside them the top of the plate is at 0. Both results are those of fewer points if the contact
+    is above `enough`.
+    """
+    nx, ny = tops.shape
     best, lowest = -np.inf, np.inf
     for every in (FEW, 1):
         for k in range(0, points.shape[0], every):
@@ -223,7 +222,7 @@ def _offset_to_contact(points, rotation, shift, tops, sides, x0, y0, cell, lean_
             for di in range(-1, 2):
                 for dj in range(-1, 2):
                     inside = 0 <= i + di < nx and 0 <= j + dj < ny
-                    best = max(best, (seen[i + di, j + dj] if inside else 0.0) - z)
+                    best = max(best, (tops[i + di, j + dj] if inside else 0.0) - z)
             if best > enough:
                 return best, lowest
     return best, lowest

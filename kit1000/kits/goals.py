@@ -16,19 +16,21 @@ from manifold3d import CrossSection, JoinType, Manifold
 
 from kit1000.kits.face import resting_faces
 from kit1000.kits.height_fields import polar_relief
+from kit1000.kits.seating import SEATED_LIMIT
 from kit1000.kits.shadows import AREA_TOLERANCE, PartShadows, Shadow, shadow_below
 from kit1000.mesh import Mesh, solid_from_mesh
 from kit1000.numerics.linear_algebra import length, matmul
 from kit1000.numerics.trigonometry import cosine
 from kit1000.pose import Pose, quaternion_angle
 from kit1000.symmetry import Symmetry
-from kit1000.values import FreeAxis
+from kit1000.values import FreeAxis, Slot
 
 SHADOW_TOLERANCE = 0.05e-3  # [m] shadows whose outlines differ by less are equal
 AREA_SLACK = 1e-3  # share by which areas of equal grown shadows may differ: arcs are polygons, and yaws turn them
 ROTATION_ORDERS = tuple(range(36, 1, -1))  # n of the yaws of 360 degrees / n that are tested
 MAX_RELIEF_DIFFERENCE = 0.15  # share by which the reliefs of a candidate may differ on the coarse grid
 ALIGN_RANGE = np.radians(4.5)  # [rad] of the fine search for a yaw; the coarse grid has steps of 3 degrees
+NEAR_GOAL_ANGLE = np.radians(1)  # up to which a pose counts as a goal
 SAME_GOAL_ANGLE, SAME_GOAL_SHIFT = np.radians(1.0), 0.2e-3  # goals closer than both are one goal
 
 
@@ -267,3 +269,14 @@ def nearest_about_axis(pose: Pose, goal: Pose, axis: FreeAxis) -> Pose:
     angle = 2 * np.arctan2(matmul(v, axis.direction), w)
     about = Pose.from_translation(axis.point) @ Pose.from_rotvec(angle * axis.direction)
     return about @ Pose.from_translation(-axis.point) @ goal
+
+
+def is_goal(pose: Pose, slot: Slot, max_angle: float | None = None) -> bool:
+    """Whether a pose is a goal up to the free axis, within 1 mm and NEAR_GOAL_ANGLE (or a larger `max_angle` [rad])."""
+    limit = max(NEAR_GOAL_ANGLE, max_angle or 0.0)
+    for goal in slot.goals:
+        nearest = goal if slot.free_axis is None else nearest_about_axis(pose, goal, slot.free_axis)
+        shift = length(pose.xyz - nearest.xyz)
+        if quaternion_angle(pose.wxyz, nearest.wxyz) < limit and shift < SEATED_LIMIT / 3:
+            return True
+    return False

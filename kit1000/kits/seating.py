@@ -13,6 +13,7 @@ computation by exact booleans, `tests/samples/exact_offset.py`, within BISECTION
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +21,9 @@ import numpy as np
 from kit1000.kits.contact import ContactFeatures, contact_features, vertical_contact_offset
 from kit1000.mesh import Mesh
 from kit1000.numerics.linear_algebra import matmul
+from kit1000.numerics.trigonometry import cosine, sine
 from kit1000.pose import Pose, quaternion_angle, quaternion_between, quaternion_conjugate, quaternion_multiply
+from kit1000.values import Slot
 
 HOVER = 0.1  # [m] the approach begins so far out (paper, section III-E)
 SEATED_LIMIT = 3e-3  # [m] of a seated prediction from contact, and of contact from goal height
@@ -33,6 +36,8 @@ BISECTION_STEP = 0.02e-3  # [m] resolution of the bisection; both limits are tig
 PARALLEL_TOLERANCE = 1e-15  # 1 - cos of an angle (45 nrad) that moves no point by a nanometre
 WALL_COSINE = 1e-6  # faces whose unit normal has a smaller -z are walls: what they sweep has no volume
 UP = np.array([0.0, 0.0, 1.0])
+DIRECTIONS = np.radians(np.arange(0, 360, 30.0))  # in the plate's plane: of the shifts and tilt axes of wrong poses
+WRONG_TILT = np.radians(20)  # of wrong poses
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,3 +138,18 @@ def is_rotation_seated(pose: Pose, goal: Pose, clearance: float = 0.0) -> bool:
     w, x, y, z = quaternion_multiply(pose.wxyz, quaternion_conjugate(goal.wxyz))
     tilt = 2 * np.arctan2(np.hypot(x, y), np.hypot(w, z))  # between the two directions of the part's axis
     return bool(angle <= rotation_limit(clearance) and tilt <= ROTATION_LIMIT)
+
+
+def wrong_poses(slot: Slot) -> Iterator[tuple[str, Pose]]:
+    """(description, pose): the design pose lifted, shifted and tilted by errors at which no part may seat."""
+    design, shift = slot.goals[0], slot.clearance + SEATED_LIMIT
+    yield "lifted 3 mm", Pose.from_translation(np.array([0, 0, SEATED_LIMIT])) @ design
+    for angle in DIRECTIONS:
+        direction = np.array([cosine(angle), sine(angle), 0.0])
+        yield "moved clearance + 3 mm across", Pose.from_translation(shift * direction) @ design
+        yield "tilted 20 degrees", rotated_about_centroid(design, WRONG_TILT * direction)
+
+
+def rotated_about_centroid(pose: Pose, rotvec: np.ndarray) -> Pose:
+    """The pose rotated about the part's origin, its centroid, by a rotation vector (3,) [rad] in the kit frame."""
+    return Pose((Pose.from_rotvec(rotvec) @ Pose(pose.wxyz, np.zeros(3))).wxyz, pose.xyz)

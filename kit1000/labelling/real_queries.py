@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from kit1000.dataset.asked_queries import PartInScene, asked_query, eligible
+from kit1000.dataset.scene_queries import PartInScene, asked_query, eligible
 from kit1000.dataset.tables import Row
 from kit1000.queries.pivots import part_pivots
 from kit1000.queries.tracks import TRACKS, query_id

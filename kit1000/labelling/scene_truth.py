@@ -13,7 +13,7 @@ from itertools import combinations
 
 import numpy as np
 
-from kit1000.dataset.asked_queries import PartInScene
+from kit1000.dataset.scene_queries import PartInScene
 from kit1000.dataset.scene_records import part_truth_row, scene_models, segmentation
 from kit1000.dataset.schema import Observation, SceneTruth
 from kit1000.dataset.tables import Row

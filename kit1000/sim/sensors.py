@@ -19,8 +19,8 @@ import numpy as np
 
 from kit1000.errors import InputError
 from kit1000.pose import Pose
+from kit1000.sim.depth_edges import blended_ramps, depths_of, punch_holes, widen_shadows, widened_edges
 from kit1000.sim.noise_fields import add_enlarged, smooth_field, uniform_of, windowed_noise
-from kit1000.sim.rims import blended_ramps, depths_of, punch_holes, widen_shadows, widened_edges
 from kit1000.sim.stereo import disparity_from_depth, grazing_mask, occlusion_mask
 from kit1000.values import View
 

@@ -22,9 +22,8 @@ from kit1000.export import own_part
 from kit1000.generation import build, shards
 from kit1000.generation.build import generate
 from kit1000.generation.presets import preset
-from kit1000.kits.acceptance import NOT_SEATED
-from kit1000.kits.choice import Attempt
 from kit1000.kits.kit import design_kit
+from kit1000.kits.kit_trials import NOT_SEATED, Attempt
 from kit1000.mesh import Mesh
 from kit1000.parts.family import part_of_mesh
 from tests.samples.checkout import ROOT

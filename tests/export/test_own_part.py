@@ -21,11 +21,10 @@ from kit1000.errors import InputError
 from kit1000.export import own_part
 from kit1000.export.own_part import InexactKit, KitOptions, make_kit_from_file, make_kits
 from kit1000.files import PARTIAL
-from kit1000.kits.acceptance import NOT_SEATED, PairCheck
-from kit1000.kits.choice import Attempt
 from kit1000.kits.clearance import Clearance
 from kit1000.kits.height_fields import RELIEF_CELLS, lower_envelope, polar_relief
 from kit1000.kits.kit import design_kit, insertion_faces
+from kit1000.kits.kit_trials import NOT_SEATED, Attempt, PairCheck
 from kit1000.mesh import Mesh, body_count, defect_float32, mesh_from_solid, solid_from_mesh
 from kit1000.parts.family import part_of_mesh
 from kit1000.parts.files import part_mesh

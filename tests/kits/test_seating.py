@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from manifold3d import Manifold
 
-from kit1000.kits.acceptance import rotated_about_centroid
 from kit1000.kits.seating import (
     BISECTION_STEP,
     HOVER,
@@ -18,6 +17,7 @@ from kit1000.kits.seating import (
     InsertedPart,
     SeatingResult,
     contact_offset,
+    rotated_about_centroid,
     seating_result,
 )
 from kit1000.mesh import mesh_from_solid, solid_from_mesh

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from manifold3d import Manifold, OpType
 
 from kit1000.errors import InputError, ShapeError
-from kit1000.kits.acceptance import rotated_about_centroid, seating_at
+from kit1000.kits.kit_trials import seating_at
 from kit1000.kits.prepared import PreparedKit
 from kit1000.kits.seating import (
     BISECTION_STEP,
@@ -22,6 +22,7 @@ from kit1000.kits.seating import (
     InsertedPart,
     SeatingResult,
     contact_offset,
+    rotated_about_centroid,
     seating_result,
 )
 from kit1000.mesh import Mesh, defect, mesh_from_solid, solid_from_mesh

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from kit1000.dataset.asked_queries import GuessDraw
+from kit1000.dataset.scene_queries import GuessDraw
 from kit1000.errors import InputError
 from kit1000.kits.goals import nearest_about_axis
 from kit1000.pose import Pose, quaternion_angle, random_quaternions

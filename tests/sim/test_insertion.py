@@ -7,8 +7,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from kit1000.kits.acceptance import rotated_about_centroid
 from kit1000.kits.assembly import AssemblyPlan, build_assembly
+from kit1000.kits.seating import rotated_about_centroid
 from kit1000.pose import Pose
 from kit1000.sim.insertion import MAX_LAG, InsertionTrial, Workpiece, assembly_obstacles, classify_outcome, insert
 from kit1000.sim.world import MARGIN, STEP_RATE, World

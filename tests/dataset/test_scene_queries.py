@@ -12,7 +12,7 @@ import pytest
 from hypothesis import assume, given, settings
 from scipy.spatial.transform import Rotation
 
-from kit1000.dataset.asked_queries import PAPER_TILT, eligible, largest_roll_or_pitch
+from kit1000.dataset.scene_queries import PAPER_TILT, eligible, largest_roll_or_pitch
 from kit1000.dataset.tables import pose_of
 from kit1000.errors import InputError
 from kit1000.pose import Pose, quaternion_angle

@@ -9,11 +9,11 @@ import pytest
 from manifold3d import CrossSection, Manifold
 
 from kit1000.errors import Redraw
-from kit1000.kits.acceptance import PairCheck, check_pair, fits_at, keyedness, rotated_about_centroid, wrong_poses
-from kit1000.kits.choice import ANY_FACE
 from kit1000.kits.goals import Design, find_goals
 from kit1000.kits.kit import make_kit
+from kit1000.kits.kit_trials import ANY_FACE, PairCheck, check_pair, fits_at, keyedness
 from kit1000.kits.prepared import PreparedKit, PreparedPart
+from kit1000.kits.seating import rotated_about_centroid, wrong_poses
 from kit1000.pose import Pose
 from kit1000.symmetry import Symmetry
 from kit1000.values import Kit, Part
