@@ -169,7 +169,7 @@ def convex_hull(points: np.ndarray) -> Manifold:
 
 
 def defect(mesh: Mesh) -> str | None:
-    """Why a mesh bounds no solid, in a few words; None when it does."""
+    """Why a mesh bounds no solid, in a few words; None if it bounds one."""
     if not len(mesh.faces):
         return "empty mesh"
     a, b = mesh.faces[:, [0, 1, 2]].ravel().astype(np.int64), mesh.faces[:, [1, 2, 0]].ravel().astype(np.int64)

@@ -47,21 +47,21 @@ class Preset:
     tilt_deg: tuple[float, float] = (10.0, 45.0)
     """Range of a side plate's tilt against its base."""
     brackets_deg: tuple[float, ...] = ()
-    """Discrete tilts to draw from in place of the range, where brackets come in a few angles."""
+    """Discrete tilts to draw from instead of the range, for brackets that come in a few angles."""
     tracks: tuple[str, ...] = tuple(TRACKS)
-    """Tracks of the queries. Depth images of a sensor are recorded only where a track reads them."""
+    """Tracks of the queries. Depth images of a sensor are recorded only if a track reads them."""
     curve_scenes: int = 40
     """Number of test scenes whose target has queries at every level of guess error. These queries together reveal the
     goal, so a withheld test split has none."""
     scale: float = 1.0
-    """Scale of both halves of the table and of the cameras' distances, where parts or plates are larger."""
+    """Scale of both halves of the table and of the cameras' distances, for larger parts or plates."""
     frames: int = 1
     """Number of frames of which a depth image of a sensor is the mean."""
     crowded: float = 1 / 3
-    """Share of the scenes whose parts are pushed together, where an assembly has two or more."""
+    """Share of the scenes whose parts are pushed together, among scenes with two parts or more."""
     one_track: bool = False
-    """Whether every test scene has the queries of a single track, as a withheld test split needs: from several queries
-    about a scene more could be learned than each is meant to tell."""
+    """Whether every test scene has the queries of a single track, as a withheld test split needs: several queries about
+    one scene could together reveal more than each of them."""
     all_upright: bool = False
     """Whether every part lies on its insertion side, so that a robot that does not turn parts over can take it."""
     mixture: str = "2026"

@@ -50,7 +50,7 @@ class GeneratedScene:
     observation: Observation
     truth: SceneTruth
     extra_views: Observation | None
-    """Views of the camera set `three`; None where the split does not store them."""
+    """Views of the camera set `three`; None if the split does not store them."""
     redraws: tuple[str, ...]
     """Reasons of the rejected layouts and views."""
 
@@ -82,7 +82,7 @@ class _SceneParts:
 
 @dataclass(frozen=True, eq=False)
 class _LayoutView:
-    """A layout rendered from the primary camera, and what of it is visible."""
+    """A layout rendered from the primary camera, with the visibility of its parts and slots."""
 
     modes: tuple[str, ...]
     layout: Layout
@@ -102,7 +102,7 @@ def make_scene(
 ) -> GeneratedScene:
     """The scene of an assembly and its parts; `extra_views` adds the camera set `three`.
 
-    Raises Redraw when none of MAX_LAYOUTS layouts passes.
+    Raises Redraw if none of MAX_LAYOUTS layouts passes.
     """
     scene_parts = _scene_parts(preset, seed, split, assembly, parts)
     layout_view, redraws = _draw_layout_and_view(scene_parts)
@@ -184,8 +184,11 @@ def _draw_layout_and_view(scene_parts: _SceneParts) -> tuple[_LayoutView, list[s
 
 
 def _view_layout(scene_parts: _SceneParts, modes: tuple[str, ...], layout: Layout, view: Pose) -> _LayoutView:
-    """The layout seen from a camera pose. Raises Redraw unless all bodies are in view, target and slot are visible
-    enough, and so is an upright part with its slot where there is one."""
+    """The layout seen from a camera pose.
+
+    Raises Redraw unless all bodies are in view, the target and its slot are visible enough, and so is an upright part
+    with its slot if there is an upright part.
+    """
     target, n = scene_parts.target, range(len(scene_parts.parts))
     world_from_kits = tuple(layout.world_from_assembly @ scene_parts.mount(i).assembly_from_kit for i in n)
     first = SlotVisibility(slot_angle(view, world_from_kits[target]), 1.0)  # the cheapest test, before rendering

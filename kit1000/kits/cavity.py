@@ -43,9 +43,9 @@ class Probe:
     """The cavity at one height."""
 
     shadow: Shadow
-    """What the part sweeps at this height."""
+    """The area that the part sweeps at this height."""
     removed_walls: CrossSection
-    """Sections of thin walls removed here or below; empty where there were none."""
+    """Sections of the thin walls that were removed here or below; empty if there were none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,28 +57,29 @@ class Cavity:
     probes: tuple[Probe, ...]
     """The cavity at several heights, lowest first, the last just below the rim."""
     removed_wall_count: int
-    """Number of thin walls, fins and posts removed, counted at the rim."""
+    """Number of thin walls, fins and posts that were removed, counted at the rim."""
     grown: Manifold
     """The grown sweep: the solid with its thin walls."""
     part: PartShadows
 
     @cached_property
     def removed_wall_volume(self) -> float:
-        """Volume of the thin walls that were removed. [m^3]"""
+        """Volume of the thin walls that were removed [m^3]."""
         if self.grown is self.solid:
             return 0.0
         return _below(self.solid - self.grown, self.depth).volume()
 
     @cached_property
     def undercut_volume(self) -> float:
-        """[m^3] below the rim that the part sweeps but does not fill."""
+        """Volume below the rim that the part sweeps but does not fill [m^3]."""
         return max(_swept_volume(self.part.shadows) - _below(self.part.standing, self.depth).volume(), 0.0)
 
 
 def insertion_depth(height: float) -> float:
-    """Cavity depth [m] for a part of a seated height [m]: 0.6 of it, at most 20 mm, MIN_PROTRUSION left above the rim.
+    """Depth of the cavity for a part of a seated height [m]: 0.6 of the height and at most 20 mm [m].
 
-    Parts lower than MIN_SEATED_HEIGHT, which no dataset has, sink by 0.6 of their height whatever is left.
+    MIN_PROTRUSION is left above the rim. Only parts lower than MIN_SEATED_HEIGHT, which no dataset has, always sink by
+    0.6 of their height.
     """
     return min(20e-3, 0.6 * height, height - MIN_PROTRUSION if height >= MIN_SEATED_HEIGHT else np.inf)
 
@@ -86,7 +87,7 @@ def insertion_depth(height: float) -> float:
 def cut_cavity(part: PartShadows, clearance: float, width: tuple[float, float], detail: Detail = MERGED) -> Cavity:
     """The cavity of a clearance [m] for a standing part, in a plate of width (x, y) [m].
 
-    detail: up to which nearly convex neighbouring faces are grown as one: faster, and up to 0.1 mm wider.
+    detail: how nearly convex neighbouring faces are to be grown as one, which is faster and up to 0.1 mm wider.
     """
     depth, shadows = part.depth, part.shadows
     grown = grown_sweep(part, clearance, detail)
@@ -188,7 +189,7 @@ def _below(solid: Manifold, z: float) -> Manifold:
 
 
 def _swept_volume(shadows: tuple[Shadow, ...]) -> float:
-    """[m^3] that the part sweeps between floor and rim (trapezoid rule)."""
+    """Volume that the part sweeps between floor and rim, by the trapezoid rule [m^3]."""
     z, areas = np.array([s.z for s in shadows]), np.array([s.section.area() for s in shadows])
     return float(np.trapezoid(areas, z))
 
@@ -196,7 +197,7 @@ def _swept_volume(shadows: tuple[Shadow, ...]) -> float:
 def _remove_thin_walls(
     grown: Manifold, shadows: tuple[Shadow, ...], top: float, width: tuple[float, float]
 ) -> tuple[list[Manifold], list[Probe]]:
-    """Thin walls to cut as well, each from half-way to the probe below up to `top` [m]; and the probes."""
+    """The thin walls to cut too, each from half-way to the probe below up to `top` [m]; and the probes."""
     plate = CrossSection.square(width, center=True)
     cuts, probes, removed, below = [], [], CrossSection(), 0.0
     for shadow in shadows:
@@ -212,7 +213,7 @@ def _remove_thin_walls(
 
 
 def _thin_walls(walls: CrossSection) -> CrossSection:
-    """The parts of the walls in which no disc of diameter MIN_WALL fits; corners down to 60 degrees are not thin."""
+    """The areas of walls in which no disc of diameter MIN_WALL fits; corners down to 60 degrees are not thin."""
     core = walls.offset(-MIN_WALL / 2, JoinType.Miter, MITER_LIMIT)
     kept = core.offset(MIN_WALL / 2 + WALL_OVERLAP / 10, JoinType.Miter, MITER_LIMIT)
     pieces = [piece for piece in (walls - kept).decompose() if piece.area() > MIN_WALL_AREA]

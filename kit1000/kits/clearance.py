@@ -22,7 +22,7 @@ OPENING_MARGIN = 0.1e-3  # [m] wall points this near a removed wall belong to it
 
 @dataclass(frozen=True)
 class Clearance:
-    """[m] horizontal distances between the kept walls and the part's shadow, over all measured points."""
+    """Horizontal distances between the kept walls and the part's shadow, over all measured points [m]."""
 
     smallest: float
     largest: float
@@ -71,7 +71,7 @@ def distances(points: np.ndarray, shape: CrossSection) -> np.ndarray:
 
 @compiled
 def _distances(points, starts, ends):
-    """(n,) from points (n, 2) to polygons with edges from starts to ends (m, 2); 0 where a point is inside."""
+    """Distances (n,) of points (n, 2) to polygons with edges from starts to ends (m, 2); 0 for a point inside."""
     found = np.empty(points.shape[0])
     for k in range(points.shape[0]):
         px, py = points[k]

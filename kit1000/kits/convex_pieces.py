@@ -1,7 +1,7 @@
 """A kit as convex pieces that leave its cavity open, for physics engines that take the hull of every mesh.
 
-The plate is cut into level layers, thin where the walls slope. Of each layer only what is solid over its whole height
-is kept, so pieces never reach into the cavity: the errors of steps and chords all enlarge it. The kept section is
+The plate is cut into level layers, which are thin if the walls slope. A layer keeps only what is solid over its whole
+height, so pieces never reach into the cavity: the errors of steps and chords all enlarge it. The kept section is
 triangulated, merged into convex polygons (Hertel and Mehlhorn 1983) and extruded to prisms. Kit frame, metres.
 """
 

@@ -78,7 +78,7 @@ def _resting_faces(mesh: Mesh, min_probability: float) -> tuple[RestingFace, ...
 
 
 def _face(mesh: Mesh, normals: np.ndarray, probability: np.ndarray) -> RestingFace:
-    """The face of a group of stable facets: their most probable one stands for all."""
+    """The face of a group of stable facets: the most probable one represents all."""
     normal = normals[np.argmax(np.round(probability, 6))]
     along = matmul(mesh.vertices, normal)
     rolls = bool(matmul(normals, normals.T).min() < cosine(ROLLING_ANGLE))
@@ -145,7 +145,7 @@ def tips_over(mesh: Mesh, face: RestingFace, depth: float, clearance: float) -> 
 
 
 def narrowest_width(points: np.ndarray) -> float:
-    """[m] least width of points (n, 3) projected onto the xy plane: across an edge of their convex hull."""
+    """Least width of points (n, 3) [m] projected onto the xy plane, across an edge of their convex hull [m]."""
     outline = points[ConvexHull(points[:, :2]).vertices, :2]
     edges = np.roll(outline, -1, axis=0) - outline
     across = np.stack([-edges[:, 1], edges[:, 0]], 1) / np.linalg.norm(edges, axis=1, keepdims=True)
@@ -153,7 +153,7 @@ def narrowest_width(points: np.ndarray) -> float:
 
 
 def _yaw_contrast(mesh: Mesh, face: RestingFace, depth: float, clearance: float, symmetry: Symmetry) -> float:
-    """[m] mean depth by which the part would cut into the walls at the wrong yaw where it is least.
+    """Mean depth by which the part would cut into the walls, at the wrong yaw with the smallest mean depth [m].
 
     The relief is the lower envelope of the resting part below the rim; the walls stand around the relief grown by the
     clearance, and a part that rises by less than TIP_RISE counts as seated. 1 % of the mean over all yaws breaks ties.

@@ -2,7 +2,7 @@
 rim. (The shadow is the projection along the insertion axis of all of the part below a height, see `shadows`.)
 
 Declared symmetries are goals by construction. A numeric search adds goals that follow from the seated part alone: yaws
-that leave the shadow unchanged, other faces down with the same shadow, and a free axis where every shadow is round.
+that leave the shadow unchanged, other faces down with the same shadow, and a free axis if every shadow is round.
 Two shadows are equal when neither exceeds the other grown by SHADOW_TOLERANCE. Kit frame; all lengths are metres.
 """
 
@@ -227,7 +227,7 @@ def best_yaw(relief: np.ndarray, other: np.ndarray, weights: np.ndarray) -> tupl
 
 
 def _aligned(design: Design, plane_from_part: Pose, yaw: float) -> Pose:
-    """The part resting on the cavity's floor, centred, at the yaw [rad] nearby where the rim shadows overlap most."""
+    """The part at rest on the cavity's floor, centred, at the nearby yaw with the largest overlap of rim shadows."""
     rim = design.shadows.rim
     centre = design.centre
     from scipy.optimize import minimize_scalar  # only here: few parts need it, and importing it takes long

@@ -92,7 +92,7 @@ def _grid(mesh: Mesh, cell: float, margin: float) -> tuple[np.ndarray, np.ndarra
 
 
 def _edge_heights(mesh: Mesh, cell: float, margin: float) -> np.ndarray:
-    """The lowest height [m] of the edges of the underside in each cell, +inf where there are none.
+    """The lowest height of the edges of the underside in each cell [m]; +inf in a cell without edges.
 
     For blades and needles: a body narrower than a cell may lie between all centres, and then has no envelope.
     """

@@ -86,7 +86,7 @@ class KitDesign:
 
 @dataclass(frozen=True, eq=False)
 class SlotDesign:
-    """The slot of a part on an insertion face: where the part goes, before any cavity is cut."""
+    """The slot of a part on an insertion face, before any cavity is cut."""
 
     part: Part
     face: RestingFace

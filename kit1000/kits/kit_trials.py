@@ -2,8 +2,8 @@
 
 A kit passes if the part seats at every goal, at no pose that is clearly wrong, and has no loose fit. This bounds the
 keyedness: a rotation by `rotation_limit` that still seats would be a loose fit, unless it is near another goal, as with
-a free axis or a gear with many teeth. The trials use the closed-form contact of `seating`, at whatever rotation: what
-matters is where the part goes in, not whether a score would count it.
+a free axis or a gear with many teeth. The trials use the closed-form contact of `seating` and ignore the limit on
+rotation: they find out if the part goes in, not if a score would count it.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ class PairCheck:
     """Properties of an accepted pair."""
 
     keyedness: float | None
-    """[rad] smallest yaw error (rotation about the insertion axis) at which the part does not seat; None when it seats
-    at every yaw (a free axis)."""
+    """Smallest yaw error (rotation about the insertion axis) at which the part does not seat [rad]; None if it seats at
+    every yaw, because of a free axis."""
     has_loose_fit: bool
     """Whether the part also seats in a pose that is no goal."""
 

@@ -81,8 +81,8 @@ def _grow(corners, faces, neighbours, horizontal, hull_tolerance, sagitta):
     """(m,) patch label of each face. Greedy: each unlabelled face seeds a patch that adds neighbours while convex.
 
     corners: in lexical order, so that a list of indices in order is sorted for the hull. Loops over numbers alone, as
-    array expressions would take ten times as long to compile. sagitta: [m] where it takes the place of hull_tolerance,
-    else negative.
+    array expressions would take ten times as long to compile. sagitta: used instead of hull_tolerance unless it is
+    negative [m].
     """
     count = faces.shape[0]
     planes, areas = np.empty((count, 5)), np.empty(count)
@@ -188,7 +188,7 @@ def _is_below(corners, p, planes, f):
 def _hull(corners, points, count, chain):
     """Corners and area of the convex hull of points in lexical order, projected along z (monotone chain).
 
-    Writes the corners to `chain`, those of the lower side first.
+    Writes the corners to `chain`, first the ones of the lower side.
     """
     area, first = 0.0, 0
     for side in range(2):

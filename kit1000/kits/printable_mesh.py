@@ -1,8 +1,8 @@
 """Conversion of an exact solid to a mesh that stays one closed body in every file format.
 
-An exact solid is closed by its indices, but different vertices of it may share one position: where two walls touch, or
-where a sliver folds back on itself. A loader that merges equal vertices then sees edges with four faces. So vertices
-are rounded to a grid, and where the mesh would open, those that share a position are moved microns apart.
+An exact solid is closed by its indices, but different vertices of it may share one position, because two walls touch or
+a sliver folds back on itself. A loader that merges equal vertices then sees edges with four faces. So vertices are
+rounded to a grid, and if the mesh would open, vertices that share a position are moved microns apart.
 """
 
 from __future__ import annotations

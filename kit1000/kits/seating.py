@@ -1,14 +1,19 @@
 """The seating test: does a predicted pose put the part into its cavity?
 
 The part keeps the predicted orientation, starts HOVER out along the carried axis (the insertion axis, rotated with the
-part by the prediction), and moves along it to first contact with everything around, the fixed bodies. It is seated when
-contact leaves it at goal height (within min(3 mm, depth/3) along the slot's axis), when the predicted pose lies within
-3 mm of the contact pose, when it is rotated by at most 10 degrees from its goal, and when the slot is the true one. In
-a slot with more than 4.2 mm of clearance a part that lies on the floor can turn farther: there `rotation_limit` is the
-limit of the rotation, and 10 degrees that of the tilt. The strict test has 1 mm in place of 3. The motion to contact
-does not rotate the part, so its rotation is the predicted one; without that limit, jammed parts 17 degrees off would
-count. `contact_offset` computes the contact in closed form on faces and edges; the tests compare it with an independent
-computation by exact booleans, `tests/samples/exact_offset.py`, within BISECTION_STEP. All lengths are metres.
+part by the prediction), and moves along it to first contact with the fixed bodies around it. It is seated if all of
+these hold:
+
+- contact leaves it at goal height, within min(3 mm, depth/3) along the slot's axis;
+- the predicted pose lies within 3 mm of the contact pose;
+- it is rotated by at most 10 degrees from its goal. In a slot with more than 4.2 mm of clearance a part that lies on
+  the floor can turn farther; there `rotation_limit` limits the rotation, and 10 degrees limit the tilt;
+- the slot is the true one.
+
+The strict test has 1 mm instead of 3. The motion to contact does not rotate the part, so its rotation is the predicted
+one; without the limit on rotation, jammed parts 17 degrees off would count. `contact_offset` computes the contact in
+closed form on faces and edges. Tests compare it, within BISECTION_STEP, with an independent computation by exact
+booleans, `tests/samples/exact_offset.py`. All lengths are metres.
 """
 
 from __future__ import annotations
@@ -129,8 +134,8 @@ def rotation_limit(clearance: float) -> float:
 def is_rotation_seated(pose: Pose, goal: Pose, clearance: float = 0.0) -> bool:
     """Whether the rotation of a pose from its goal, both in the kit frame, is one of a seated part.
 
-    It is where the rotation is at most ROTATION_LIMIT; in a slot with a wide clearance [m] also where it is at most
-    `rotation_limit` and tilts the part by at most ROTATION_LIMIT.
+    It is one if the rotation is at most ROTATION_LIMIT. In a slot with a wide clearance [m] it is also one if it is at
+    most `rotation_limit` and tilts the part by at most ROTATION_LIMIT.
     """
     angle = quaternion_angle(pose.wxyz, goal.wxyz)
     if angle <= ROTATION_LIMIT:

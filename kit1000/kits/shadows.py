@@ -20,7 +20,7 @@ WALL_COSINE = 2e-4  # faces whose unit normal has a smaller -z are walls: they s
 LEVEL_TOLERANCE = 2e-6  # [m] a face of a smaller extent along z is level
 LEDGE_OFFSET = 0.02e-3  # [m] of a shadow above or below a ledge: lower steps are floor, not wall
 LEAST_STEP = 3e-3 / 10  # [m] of a ledge from floor and rim
-SPACING = 4e-3  # [m] at most between heights where the shadow changes
+SPACING = 4e-3  # [m] at most between heights while the shadow changes
 AREA_TOLERANCE = 1e-9  # [m^2] smaller areas are rounding errors
 
 
@@ -47,7 +47,7 @@ class PartShadows:
 
     @staticmethod
     def of(standing: Manifold, depth: float) -> PartShadows:
-        """The shadows of a part at both ends of each interval between ledges, and inside where they change."""
+        """The shadows of a part at both ends of each interval between ledges, and inside it if the shadow changes."""
         underside = triangles, level = downward_faces(standing.trim_by_plane((0, 0, -1), -depth))
         levels = np.unique(triangles[level][:, 0, 2]).tolist()
         return PartShadows(standing, depth, underside, tuple(_shadows(standing, _ledges(levels, depth))))
@@ -83,7 +83,7 @@ def _ledges(levels: list[float], depth: float) -> list[float]:
 
 
 def _shadows(standing: Manifold, ledges: list[float]) -> list[Shadow]:
-    """Shadows at both ends of each interval between ledges, and at steps inside where the shadow changes."""
+    """Shadows at both ends of each interval between ledges, and at steps inside it if the shadow changes."""
     shadows = []
     for low, high in pairwise(ledges):
         first, last = (Shadow(z, shadow_below(standing, z)) for z in (low + LEDGE_OFFSET, high - LEDGE_OFFSET))

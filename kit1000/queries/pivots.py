@@ -1,7 +1,7 @@
 """The pivot of a part: the middle of its masked depth points without the outer tenths, which any method may compute.
 
-A depth sensor smears edges over several pixels: near the border of a mask some depths are those of the table or of
-another part. The mask is therefore eroded, and the tenth of the points at either end of each axis is left out.
+A depth sensor smears edges over several pixels: near the border of a mask some depths belong to the table or to another
+part. The mask is therefore eroded, and the tenth of the points at either end of each axis is left out.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def extent_centre(view: View, mask: np.ndarray) -> np.ndarray | None:
 
 
 def _eroded(mask: np.ndarray) -> np.ndarray:
-    """A mask (h, w) bool without its border of EROSION pixels, or of fewer where less than LEAST_LEFT would be left."""
+    """A mask (h, w) bool without its border of EROSION pixels, or of fewer if less than LEAST_LEFT would remain."""
     part, whole = LEAST_LEFT
     eroded = mask
     for _ in range(EROSION):

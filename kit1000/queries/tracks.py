@@ -29,7 +29,7 @@ class Track:
     parts: Literal["all", "upright", "upright with a nearly level goal"]
     """The parts of a scene that have a query, among the visible ones."""
     crowded_scenes: bool
-    """Whether it asks in crowded scenes too."""
+    """Whether it has queries in crowded scenes too."""
     description: str
     """One sentence for tables and pages."""
     splits: tuple[str, ...] = SPLITS
@@ -113,8 +113,8 @@ ALL_TRACKS = (*TRACKS, CURVES)
 GUESS_TRACKS = (*(name for name, track in TRACKS.items() if track.guess is not None), CURVES)
 """Tracks whose queries come with a guess."""
 PAPER_TRACKS = {"with user input": "snap-tilt", "without user input": "place-paper"}
-"""The tracks that stand for Table I of the paper, by the half of the table. The guesses of snap-tilt are those of the
-paper's release, rotated by a tilt alone; by its text they are rotated about any axis."""
+"""The tracks that correspond to Table I of the paper, by the half of the table. Guesses of snap-tilt are rotated by a
+tilt alone, as in the paper's release; the text of the paper rotates them about any axis."""
 
 
 def query_id(scene_id: str, part: int, track: str) -> str:

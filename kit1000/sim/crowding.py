@@ -1,7 +1,7 @@
 """Crowded scenes: parts at rest, pushed together along the table until they nearly or just touch.
 
 A rest pose on a plane stays one wherever it is pushed to, and no part leans on another. Each part in turn slides
-towards one that is in place already; it stops at a drawn gap from that part, or where it touches another one first.
+towards one that is in place already; it stops at a drawn gap from that part, or earlier if it touches another one.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from kit1000.numerics.trigonometry import cosine, sine
 from kit1000.sim.footprints import centroid, footprint_distance
 
 TOUCHING = 1e-4  # [m] between footprints that touch: well over the micrometre to which poses are rounded
-GAPS = (-2.5e-3, 10e-3)  # [m] uniform, and TOUCHING where smaller: a fifth of the parts touch
+GAPS = (-2.5e-3, 10e-3)  # [m] uniform; smaller ones become TOUCHING: a fifth of the parts touch
 MAX_ANGLE = np.pi / 4  # [rad] from the x axis, on which side the cameras are, to the direction from part to part
 MAX_SHIFT = 0.05  # [m] along x and along y, of the group of parts from the middle of their half
-STOP = 1e-5  # [m] from where a sliding part would stop exactly
+STOP = 1e-5  # [m] from the place at which a sliding part would stop exactly
 MAX_SLIDES = 500  # each at least STOP long, and nearly always as long as the way that is left
 
 
@@ -71,7 +71,7 @@ def pushed_together(outlines: Sequence[np.ndarray], crowding: Crowding, region: 
 
 
 def _slide(placed: list[np.ndarray], neighbour: int, outline: np.ndarray, direction: float, gap: float) -> np.ndarray:
-    """(2,) [m] where an outline about the origin stops that slides towards the middle of a placed one.
+    """The place at which an outline about the origin stops that slides towards the middle of a placed one, (2,) [m].
 
     A slide as long as the distance that is left never passes an obstacle.
     """

@@ -1,4 +1,4 @@
-"""Compiled loops for what real stereo cameras do beside jumps of disparity: ramps, wide edges, wide shadows, holes.
+"""Errors of real stereo cameras at depth edges, as compiled loops: ramps, wide edges, wide shadows, holes.
 
 Letters and borders are those of `kit1000.sim.stereo`: d disparity [px], (H + 2, W + 2) with a border of zeros, 0 for no
 surface. Coarse fields hold one value in `factor` px along both axes.
@@ -123,7 +123,7 @@ def _enlarge_row(values, factor, out):
 
 @compiled
 def _add_pairs(here, before, after, edges, halves, away, total, count):
-    """Add up the differences of opposite neighbours, `away` px off, where both are small, and count them."""
+    """Add up the differences of opposite neighbours, `away` px off, if both are small, and count them."""
     for u in range(len(here)):
         a, b = before[u] - here[u], after[u] - here[u]
         share = min(max(halves[u] - away + np.float32(1), np.float32(0)), np.float32(1))
@@ -158,7 +158,7 @@ def punch_holes(missing, d, chance, size, factor, jump, share, widest):
     Args:
         missing: with the border, as d.
         d: disparities.
-        chance: (H / factor, W / factor) uniform, smooth: there are holes where it is below `share`.
+        chance: (H / factor, W / factor) uniform, smooth: there are holes in pixels with a value below `share`.
         size: the same: the width is 1, 3, ... px, up to `widest`, each in an equal share of values.
         factor: [px] between values of the two fields.
         jump: [px] of disparity.
@@ -184,7 +184,7 @@ def punch_holes(missing, d, chance, size, factor, jump, share, widest):
 
 @compiled
 def depths_of(d, noise, missing, step, unit, gain):
-    """Depths (H, W) [m] from disparities plus noise (H, W) [px]; 0 where `missing` or where there is no surface.
+    """Depths (H, W) [m] from disparities plus noise (H, W) [px]; 0 for `missing` pixels and pixels without a surface.
 
     Disparities are rounded to steps of `step` px, depths to multiples of `unit` [m]; 0 for no rounding.
     """

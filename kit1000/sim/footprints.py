@@ -32,7 +32,7 @@ def footprint_distance(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def _separating_gap(a: np.ndarray, b: np.ndarray) -> float:
-    """[m] the widest gap along the normal of an edge of `a`; where a and b overlap, no edge of either has one."""
+    """The widest gap along the normal of an edge of `a` [m]; if a and b overlap, no edge of either has a gap."""
     edges = np.roll(a, -1, axis=0) - a
     outward = np.column_stack([edges[:, 1], -edges[:, 0]]) / np.linalg.norm(edges, axis=1, keepdims=True)
     return float((matmul(b, outward.T).min(0) - (a * outward).sum(1)).max())

@@ -25,7 +25,7 @@ from kit1000.sim.settle import Release, RestPose, rounded_pose, settle
 from kit1000.values import Assembly, Part, Slot
 
 UPRIGHT, TUMBLED = "upright", "tumbled"
-PART_UNSTABLE = "part unstable"  # redraw reason: an upright part does not stay where it was released
+PART_UNSTABLE = "part unstable"  # redraw reason: an upright part moves after its release
 UPRIGHT_SHARE = 0.6  # of the parts, for any number of parts in a scene
 
 _BOX_FACES = np.array(
@@ -105,8 +105,10 @@ def systematic_rest_modes(offset: float, n: int) -> tuple[str, ...]:
 def draw_layout(
     rng: np.random.Generator, modes: Sequence[str], crowded: bool = False, scale: float = 1.0
 ) -> LayoutDraw:
-    """The random numbers of a layout for parts of these rest modes. The numbers do not depend on the modes; those of a
-    crowded layout are those of an uncrowded one and further ones."""
+    """The random numbers of a layout for parts of these rest modes.
+
+    The numbers do not depend on the modes. A crowded layout draws the same numbers first, then extra ones.
+    """
     unknown = sorted({*modes} - {UPRIGHT, TUMBLED})
     if unknown or len(modes) > MAX_PARTS:
         raise ShapeError(f"modes: expected up to {MAX_PARTS}, each {UPRIGHT} or {TUMBLED}, got {list(modes)}")

@@ -54,7 +54,7 @@ class TriangleBatch(NamedTuple):
     rows: np.ndarray
     """(k, 2) int16: first and last row of pixels."""
     faces: np.ndarray
-    """(k,) int32: index of the face among those of all bodies."""
+    """(k,) int32: index of the face among the faces of all bodies."""
 
 
 @compiled
@@ -134,7 +134,7 @@ def prepare_clipped(intrinsics, to_clip, faces, first, points, batch):
 def fill_band(top, batch, count, inverse_depth, nearest_face):
     """Rasterize the first `count` triangles of a batch into the band of rows that begins at `top`.
 
-    `inverse_depth` (rows, W) is 1/depth [1/m], 0 where there is no surface; `nearest_face` (rows, W) int32 the face.
+    `inverse_depth` (rows, W) is 1/depth [1/m], 0 without a surface; `nearest_face` (rows, W) int32 the face.
     The nearer surface counts; at equal depth the earlier one.
     """
     height, width = inverse_depth.shape

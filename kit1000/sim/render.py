@@ -42,7 +42,7 @@ class _ProjectedBody(NamedTuple):
     """A body projected to the camera: n vertices, m faces."""
 
     faces: np.ndarray  # (m, 3) int32
-    first_face: int  # index of its first face among those of all bodies
+    first_face: int  # index of its first face among the faces of all bodies
     points: np.ndarray  # (n, 3) [m] vertices in the camera frame
     uv: np.ndarray  # (n, 2) int32, pixels / 4096
     state: np.ndarray  # (n,) uint8, of the vertices

@@ -6,7 +6,7 @@ fx * baseline / depth: fattened edges, ramps at small jumps, no return in shadow
 angles, noise, bending, rounding; then depth scale, range, and the grid of stored depths.
 
 Sources: "images" are the public D415, D435 and PhoXi images of docs/reference/sensors.md, whose statistics
-results/sensor-statistics.json holds beside those of these sensors; other sources stand where they are used.
+results/sensor-statistics.json compares with the statistics of these sensors; other sources are named beside the numbers.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ DRAWN_DECIMALS = 9  # of numbers that are drawn: the last bits of powers differ 
 
 @dataclass(frozen=True)
 class Sensor:
-    """The facts of a sensor and the ranges of its errors; the defaults are those of an ideal one."""
+    """The facts of a sensor and the ranges of its errors; the defaults describe an ideal sensor."""
 
     baseline: float = 0.0
     """[m] from the imager of the raw image to the other imager, or the projector; 0: no triangulation."""
@@ -237,7 +237,7 @@ def measured_view(
 ) -> View:
     """What a sensor measures of an ideal view under some conditions, as by `sense`.
 
-    noise: (H, W) [px] of disparity, in place of drawn noise and bending: such as a real image's.
+    noise: (H, W) [px] of disparity, such as a real image's; replaces drawn noise and bending.
     """
     scale = np.float32(1 + sensor.scale_error * rng.uniform(-1, 1))
     recorded = _recorded_pose(sensor, view.world_from_camera, rng)

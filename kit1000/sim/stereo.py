@@ -20,7 +20,7 @@ EDGE_STEP = 1.0
 
 @compiled
 def disparity_from_depth(depth, gain):
-    """`gain` [px m] / depth (H, W) [m], with the border; 0 where the depth is 0."""
+    """`gain` [px m] / depth (H, W) [m], with the border; 0 if the depth is 0."""
     rows, columns = depth.shape
     out = np.zeros((rows + 2, columns + 2), np.float32)
     for v in range(rows):
@@ -31,7 +31,7 @@ def disparity_from_depth(depth, gain):
 
 @compiled
 def _smaller_slope(here, before, after):
-    """The smaller of two one-sided slopes [px/px], where there is a surface on that side; 0 without any."""
+    """The smaller of two one-sided slopes [px/px]; a side without a surface has none, and without any it is 0."""
     back, ahead = here - before, after - here
     if before == 0:
         back = ahead

@@ -106,7 +106,7 @@ def slot_angle(world_from_camera: Pose, world_from_kit: Pose) -> float:
 
 
 def view_redraw_reason(part: PartVisibility, slot: SlotVisibility) -> str | None:
-    """The redraw reason of a view that is not good enough for a query about a part and its slot; None when it is."""
+    """The redraw reason of a view that is not good enough for a query about a part and its slot; else None."""
     if part.pixels < MIN_PART_PIXELS:
         return "part small in the image"
     if part.share < MIN_PART_SHARE:

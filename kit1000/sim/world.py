@@ -59,7 +59,7 @@ class PhysicsMissing(InputError):
 
 
 def check_physics() -> None:
-    """Raise PhysicsMissing where no world can be made."""
+    """Raise PhysicsMissing if no world can be made."""
     _pybullet()
 
 
