@@ -8,7 +8,7 @@ The face that a part rests on most often is the one to lay it on, so plates and 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial import ConvexHull
@@ -58,11 +58,6 @@ def resting_faces(mesh: Mesh, min_probability: float = MIN_PROBABILITY) -> list[
 
     mesh: closed, with its centre of mass at the origin.
     """
-    return list(_resting_faces(mesh, min_probability))
-
-
-@lru_cache(maxsize=8)  # asked for again at every face that a kit is tried on
-def _resting_faces(mesh: Mesh, min_probability: float) -> tuple[RestingFace, ...]:
     hull = ConvexHull(mesh.vertices)
     normals, share = hull.equations[:, :3], _solid_angles(mesh.vertices[hull.simplices]) / (4 * np.pi)
     sinks, owner = np.unique(_rolls_to(mesh.vertices, hull), return_inverse=True)
@@ -74,7 +69,7 @@ def _resting_faces(mesh: Mesh, min_probability: float) -> tuple[RestingFace, ...
         likely += _rolling_groups(normals, rest, UNLIKELY_ROLLING_ANGLE)
     faces = [_face(mesh, normals[group], probability[group]) for group in likely]
     likely_faces = (face for face in faces if face.probability >= min_probability)
-    return tuple(sorted(likely_faces, key=lambda face: -round(face.probability, 6)))
+    return sorted(likely_faces, key=lambda face: -round(face.probability, 6))
 
 
 def _face(mesh: Mesh, normals: np.ndarray, probability: np.ndarray) -> RestingFace:

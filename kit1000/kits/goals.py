@@ -8,13 +8,14 @@ Two shadows are equal when neither exceeds the other grown by SHADOW_TOLERANCE. 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from manifold3d import CrossSection, JoinType, Manifold
 
-from kit1000.kits.face import resting_faces
+from kit1000.kits.face import RestingFace, resting_faces
 from kit1000.kits.height_fields import polar_relief
 from kit1000.kits.seating import SEATED_LIMIT
 from kit1000.kits.shadows import AREA_TOLERANCE, PartShadows, Shadow, shadow_below
@@ -42,6 +43,13 @@ class Design:
     symmetry: Symmetry
     kit_from_part: Pose
     shadows: PartShadows
+    known_faces: Sequence[RestingFace] | None = None
+    """All resting faces of the part, if the caller has them."""
+
+    @cached_property
+    def faces(self) -> Sequence[RestingFace]:
+        """All resting faces of the part, however improbable."""
+        return self.known_faces or resting_faces(self.mesh, min_probability=0.0)
 
     @cached_property
     def relief(self) -> tuple[np.ndarray, np.ndarray]:
@@ -189,7 +197,7 @@ def _flipped_poses(design: Design, known: list[Pose]) -> list[Pose]:
     """Poses with another face down and the same shadow; one a face, its other yaws follow from the rotation order."""
     relief, weights = design.relief
     found = []
-    for face in resting_faces(design.mesh, min_probability=0.0):
+    for face in design.faces:
         if any(_faces_down(pose, face.normal) for pose in known) or face.height < design.shadows.depth:
             continue
         other, _, _ = polar_relief(design.mesh.moved(face.plane_from_part), design.shadows.depth)

@@ -5,6 +5,7 @@ Kit frame: centre of the plate's top face, +z out of the cavity. All lengths are
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -110,13 +111,18 @@ def design_kit(
     return cut_kit(design_slot(part, clearance, face or insertion_faces(part, clearance, plate is None)[0]), plate)
 
 
-def design_slot(part: Part, clearance: float, face: RestingFace) -> SlotDesign:
-    """The slot of a part on an insertion face: its design pose, its shadows there and its goals."""
+def design_slot(
+    part: Part, clearance: float, face: RestingFace, known_faces: Sequence[RestingFace] | None = None
+) -> SlotDesign:
+    """The slot of a part on an insertion face: its design pose, its shadows there and its goals.
+
+    known_faces: all resting faces of the part, if the caller has them.
+    """
     depth = insertion_depth(face.height)
     standing = _aligned_with_plate(part.mesh, face, depth)  # plane_from_part
     shadows = PartShadows.of(solid_from_mesh(part.mesh).transform(standing.matrix()[:3]), depth)
     kit_from_part = Pose.from_translation(np.array([0, 0, -depth])) @ standing
-    goals, free_axis = find_goals(Design(part.mesh, part.symmetry, kit_from_part, shadows))
+    goals, free_axis = find_goals(Design(part.mesh, part.symmetry, kit_from_part, shadows, known_faces))
     return SlotDesign(part, face, Slot(part.id, kit_from_part, clearance, depth, goals, free_axis), shadows)
 
 

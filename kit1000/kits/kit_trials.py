@@ -97,7 +97,7 @@ def attempts(part: Part, clearance: float, plate: Plate | None, early_refusal: b
     """
     prepared = PreparedPart(part.mesh, ANY_FACE)
     for face in insertion_faces(part, clearance, fitted_plate=plate is None):
-        design = design_slot(part, clearance, face)
+        design = design_slot(part, clearance, face, prepared.all_faces)
         refusal = sure_refusal(prepared, design.slot) if early_refusal else None
         yield _attempt(design, prepared, plate) if refusal is None else Attempt(None, None, refusal, early=True)
 

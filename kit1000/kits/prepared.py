@@ -55,6 +55,11 @@ class PreparedPart:
         return resting_faces(self.mesh, self.min_probability)
 
     @cached_property
+    def all_faces(self) -> list[RestingFace]:
+        """All resting faces, however improbable."""
+        return resting_faces(self.mesh, 0.0)
+
+    @cached_property
     def resting(self) -> list[RestingPart]:
         """The part on each of these faces."""
         return [RestingPart.on(self.mesh, face) for face in self.faces]

@@ -6,7 +6,8 @@ fx * baseline / depth: fattened edges, ramps at small jumps, no return in shadow
 angles, noise, bending, rounding; then depth scale, range, and the grid of stored depths.
 
 Sources: "images" are the public D415, D435 and PhoXi images of docs/reference/sensors.md, whose statistics
-results/sensor-statistics.json compares with the statistics of these sensors; other sources are named beside the numbers.
+results/sensor-statistics.json compares with the statistics of these sensors; other sources are named beside the
+numbers.
 """
 
 from __future__ import annotations
