@@ -51,11 +51,11 @@ class Predict:
     split: tuple[str, ...] = ("test",)
     """Splits to predict: one or several of test, curves, val, test-all, train."""
     tracks: tuple[str, ...] = ()
-    """Tracks to predict for; all tracks of the method by default."""
+    """Tracks to predict for. Default: all tracks of the method."""
     workers: OptionalInt = None
-    """Number of processes; one per core by default. The predictions do not depend on it."""
+    """Number of processes. Default: one per core. The predictions do not depend on it."""
     limit: OptionalInt = None
-    """Number of queries, from the first on; all by default."""
+    """Number of queries, from the first on. Default: all."""
     seed: int = 0
     """Seed of all draws of the method."""
     masks: Literal["given", "predicted"] = "given"
@@ -88,7 +88,7 @@ class Rerun:
     first: int = 50
     """Number of queries of each submission, from the first on."""
     workers: OptionalInt = None
-    """Number of processes; one per core by default."""
+    """Number of processes. Default: one per core."""
 
     def run(self) -> int:
         """Predict and compare; 1 where a prediction differs."""
@@ -116,21 +116,21 @@ class Train:
     preset: str = "small"
     """Sizes and training: small for two cores, paper for a GPU; pretraining, then pretraining-2, to start from."""
     steps: OptionalInt = None
-    """Number of training steps; that of the preset by default."""
+    """Number of training steps. Default: that of the preset."""
     batch: OptionalInt = None
-    """Number of examples of a step; that of the preset by default."""
+    """Number of examples of a step. Default: that of the preset."""
     seed: OptionalInt = None
-    """Seed of the initial weights and all draws; that of the preset by default."""
+    """Seed of the initial weights and all draws. Default: that of the preset."""
     learning_rate: OptionalFloat = None
-    """Learning rate at its peak; that of the preset by default."""
+    """Learning rate at its peak. Default: that of the preset."""
     start: Path | None = None
-    """Weights to start from, a .safetensors file of the same network; new ones by default."""
+    """Weights to start from, a .safetensors file of the same network. Default: new ones."""
     workers: OptionalInt = None
-    """Number of processes that make examples; that of the preset by default."""
+    """Number of processes that make examples. Default: that of the preset."""
     threads: OptionalInt = None
-    """Number of PyTorch threads; that of the preset, or one a core, by default."""
+    """Number of PyTorch threads. Default: that of the preset, or one per core."""
     time_limit_s: OptionalFloat = None
-    """Time [s] after which training stops, with a checkpoint; no limit by default."""
+    """Time [s] after which training stops, with a checkpoint. Default: no limit."""
 
     def run(self) -> int:
         """Train, then print how it ended."""

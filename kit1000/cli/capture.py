@@ -1,4 +1,4 @@
-"""The command that makes a scene of the user's own depth image."""
+"""The command that makes scenes from the user's own depth images."""
 
 from __future__ import annotations
 
@@ -30,42 +30,43 @@ def need_truth(data: Path, command: str) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class OwnImages:
-    """Options that say what own depth images are."""
+    """Options that describe own depth images and the camera."""
 
     intrinsics: Annotated[tuple[str, ...], arg(metavar="FILE | FX FY CX CY")] = ()
-    """JSON of BOP, Open3D, RealSense, ROS or gqcnn, .txt of 3 x 3, or four numbers [px]; recordings bring their own."""
+    """JSON of BOP, Open3D, RealSense, ROS or gqcnn; .txt with a 3 x 3 matrix; or four numbers [px]. Default: from the
+    recording."""
     depth_scale: OptionalFloat = None
-    """Metres that 1 in an image stands for; as the files say, else 0.001 for integers and 1 for floats."""
+    """Metres per depth unit. Default: from the file, else 0.001 for integers, 1 for floats."""
     topic: OptionalName = None
-    """Topic of the depth images in a recording; the only one when absent."""
+    """Topic of the depth images in a recording. Default: the only one."""
     frames: int = 1
-    """Number of successive frames of which an image is the median."""
+    """Number of successive frames; the median of them is the image."""
     first: int = 0
     """Index of the first frame of a recording."""
     device: str = ""
-    """Name of the camera, such as D435, or PhoXi for a structured-light scanner; as the files say when absent."""
+    """Name of the camera, such as D435, or PhoXi for a structured-light scanner. Default: from the file."""
     baseline_mm: OptionalFloat = None
-    """Distance between the camera's imagers; known for RealSense cameras."""
+    """Distance between the two imagers of the camera. Default: from the table of RealSense cameras."""
     stream: Annotated[Stream | None, optional(Stream)] = None
-    """raw: the depth camera's own image; aligned: resampled to another camera; as the files say, else raw of a
-    scanner and aligned of other cameras."""
+    """raw: the depth camera's own image; aligned: resampled to another camera. Default: from the file, else raw for
+    scanners, aligned for other cameras."""
     kit: int = 1
-    """Number of the body that is the kit, the largest first."""
+    """Which body is the kit: 1 is the largest body."""
     world_from_camera: Annotated[tuple[Path, ...], arg(metavar="FILE [FILE ...]")] = ()
-    """JSON file of a hand-eye pose in a frame with the table at z = 0, which is kept; one for all images, or one for
-    each; by the bodies when absent."""
+    """JSON file with the pose of the camera (hand-eye) in a frame with the table at z = 0. One file, or one per image.
+    Default: estimated from the bodies."""
     empty_table: OptionalPath = None
-    """Depth image of the same camera and table without bodies."""
+    """Depth image of the same table by the same camera, without bodies."""
     clearance_mm: OptionalFloat = None
     """Gap between a part and the walls of its cavity."""
     masks: Annotated[Masks | None, optional(Masks)] = None
-    """depth: bodies as depth alone shows them; networks: cut back by the networks, of a scanner by rules; when absent
-    networks where torch is there."""
+    """How bodies are found: by depth alone, or corrected by networks (for a scanner by rules). Default: networks if
+    torch is installed."""
     check: Annotated[tuple[float, ...], arg(metavar="MM MM MM")] = ()
-    """Sides of a box in view: images in which no body has them are refused."""
+    """Side lengths of a box that you placed in view; an image without a body of this size is refused."""
 
     def own_options(self) -> list[str]:
-        """The options of own images that are given."""
+        """The options of own images that the user gave."""
         given = [field.name for field in fields(OwnImages) if getattr(self, field.name) != field.default]
         return [f"--{name.replace('_', '-')}" for name in given]
 
@@ -83,16 +84,16 @@ class OwnImages:
 
 @dataclass(frozen=True)
 class ImportImages(OwnImages):
-    """Make a scene folder of your own depth images: finds table, kit and parts, and prints their sizes."""
+    """Make a folder of scenes from your own depth images: find table, kit and parts, and print their sizes."""
 
     sources: Annotated[Positional[tuple[Path, ...]], arg(metavar="SOURCE [SOURCE ...]")]
     """16-bit PNG or TIFF, .npy, .npz, or MCAP of ROS 2, Foxglove or ours. Several images become several scenes."""
     out: OptionalPath = None
-    """Folder to write to; the name of the first image with -scene when absent."""
+    """Folder to write to. Default: the name of the first image with -scene."""
     one_scene: bool = False
-    """The images show the same bodies from several places, each with its pose: methods of registration use all."""
+    """The images show the same bodies from several places, each with its pose; registration uses all of them."""
     licence: str = ""
-    """Licence of the images, for the recordings."""
+    """Licence of the images; it stands in the recordings."""
 
     def run(self) -> int:
         """Import, print the report and the folder."""

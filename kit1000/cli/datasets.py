@@ -30,17 +30,17 @@ class Generate:
     out: Path
     """Dataset folder to write; with --engine ray all nodes must share it."""
     seed: OptionalInt = None
-    """Seed of all random draws; that of the preset when absent."""
+    """Seed of all random draws. Default: that of the preset."""
     workers: OptionalInt = None
-    """Number of processes; one per core when absent. The bytes do not depend on it."""
+    """Number of processes. Default: one per core. The bytes do not depend on it."""
     parts: OptionalPath = None
     """Folder, file or .txt list of meshes to use instead of procedural parts."""
     unit: Unit = None
-    """Unit of the meshes of --parts; guessed and reported when absent."""
+    """Unit of the meshes of --parts. Default: guessed and reported."""
     engine: Literal["local", "ray"] = "local"
     """Engine that runs the jobs: processes of this machine, or a Ray cluster."""
     address: Annotated[str | None, optional(str, "HOST:PORT")] = None
-    """Address of the Ray cluster (`auto` finds a local one); a new local cluster when absent."""
+    """Address of the Ray cluster (`auto` finds a local one). Default: a new local cluster."""
     withhold: OptionalPath = None
     """Second folder, for the full dataset; --out then lacks the ground truth of the test split."""
 
@@ -51,7 +51,7 @@ class Generate:
         chosen = preset(self.preset)
         check_least(workers=(self.workers, 1), seed=(self.seed, 0))
         if self.unit is not None and self.parts is None:
-            raise InputError("--unit: is the unit of the meshes of --parts, which is absent")
+            raise InputError("--unit: needs --parts, whose meshes have this unit")
 
         if self.withhold is None:
             summary = self._generate(chosen, self.out)
@@ -125,7 +125,7 @@ class Show:
     ids: tuple[str, ...] = ()
     """Ids of the items to draw instead of evenly spaced ones."""
     scene: OptionalId = None
-    """Id of a scene to draw instead of items: depth, masks, meshes and goals."""
+    """Id of a scene to draw instead of items: its depth, masks, meshes and goals."""
 
     def run(self) -> int:
         """Draw the picture and print its path."""
@@ -182,9 +182,9 @@ class Export:
     format: Literal["bop", "urdf", "stl", "3mf", "mcap"] = "urdf"
     """Format to write; mcap is a recording of each scene for 3D viewers."""
     ids: tuple[str, ...] = ()
-    """Ids of the assemblies, or of the scenes for bop and mcap; all of them when absent (mcap needs ids)."""
+    """Ids of the assemblies, or of the scenes for bop and mcap. Default: all; mcap needs ids."""
     split: Literal["train", "val", "test"] | None = None
-    """Split to export; all of them when absent."""
+    """Split to export. Default: all of them."""
     sensor: Sensor = "ideal"
     """Sensor of the depth images, for bop."""
     truth: bool = False
@@ -192,7 +192,7 @@ class Export:
     predictions: OptionalPath = None
     """Predictions file whose motions are shown, coloured by their errors; for mcap with --truth."""
     track: OptionalName = None
-    """Track of the queries whose pivots and guesses are shown, for mcap; the first one of the scene when absent."""
+    """Track of the queries whose pivots and guesses are shown, for mcap. Default: the first one of the scene."""
 
     def run(self) -> int:
         """Export, and print the folder."""
@@ -232,7 +232,7 @@ class Check:
     submission: Annotated[Positional[Path], arg(metavar="SUBMISSION")]
     """Folder with manifest.toml and predictions.csv, or one predictions file."""
     data: OptionalPath = None
-    """Dataset of the predictions; only the format is checked when absent."""
+    """Dataset of the predictions. Default: only the format is checked."""
     split: Literal["test", "test-all", "val", "train"] = "test"
     """Split whose queries need predictions."""
     json: bool = False

@@ -18,35 +18,35 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Label:
-    """Label own scenes with ground truth: register known shapes, look at the pictures, confirm, and score as usual."""
+    """Label own scenes with ground truth: register known shapes, check the pictures, confirm."""
 
     data: Folder
     """Folder of own scenes, as `kit1000 import` writes it."""
     scene: OptionalId = None
-    """Id of one scene; all scenes when absent."""
+    """Id of one scene. Default: all scenes."""
     shapes: OptionalPath = None
     """Dataset folder with the kits in the image, such as one of the preset `print`."""
     assembly: OptionalId = None
-    """Id of the assembly in --shapes; the only one when absent."""
+    """Id of the assembly in --shapes. Default: the only one."""
     parts: tuple[str, ...] = ()
-    """Ids of the parts on the table; all parts of the assembly when absent."""
+    """Ids of the parts on the table. Default: all parts of the assembly."""
     kit: OptionalPath = None
     """Mesh file of a kit of your own, instead of --shapes: kit.stl of `kit1000 kit`."""
     part: OptionalPath = None
     """Mesh file of its part, seated in the frame of the kit: part.stl of `kit1000 kit`."""
     clearance_mm: OptionalFloat = None
-    """Clearance between part and kit; that of report.json beside --kit when absent."""
+    """Clearance between part and kit. Default: that of report.json beside --kit."""
     confirm: tuple[str, ...] = ()
-    """Bodies that you confirm after a look at the picture: all, sure, or names such as kits."""
+    """Bodies that you confirm after you looked at the picture: all, sure, or names such as kits."""
     by: str = ""
-    """Your name, which stands beside what you confirm."""
+    """Your name, which is stored with the labels that you confirm."""
     page: bool = False
     """Open a page on which you move the shapes of a scene, confirm them, and see the residual; Ctrl-C ends it."""
     port: OptionalInt = None
-    """Port of the page; a free one when absent."""
+    """Port of the page. Default: a free one."""
 
     def run(self) -> int:
-        """Register or confirm, and print what was found; returns 1 when bodies are left that are not sure."""
+        """Register or confirm, and print what was found; returns 1 when some bodies remain uncertain."""
         from kit1000.labelling.labelling_session import OwnScenes
 
         scenes = OwnScenes.of(self.data, self.scene)
@@ -83,7 +83,7 @@ class Label:
 
         given = [name for name in ("shapes", "kit", "part") if getattr(self, name) is not None]
         if given:
-            raise InputError(f"--{given[0]}: the labels know their shapes: leave it out with --confirm")
+            raise InputError(f"--{given[0]}: not allowed with --confirm, whose labels state their shapes")
         records = confirm(scenes, self.confirm, self.by)
         without = publish(scenes, records)
         for record in records:

@@ -29,16 +29,16 @@ class MakeKit:
     clearance_mm: float = 2.5
     """Horizontal gap between part and cavity walls."""
     unit: Unit = None
-    """Unit of the file; guessed and reported when absent."""
+    """Unit of the file. Default: guessed and reported."""
     fit_mm: OptionalFloat = None
-    """Scale the part to this longest side; true size when absent."""
+    """Scale the part to this longest side. Default: true size."""
     bodies: Annotated[Literal["union", "largest", "each"] | None, optional(Literal["union", "largest", "each"])] = None
     """Treatment of several bodies in the file: all as one part (they touch or overlap), the largest alone, or a kit for
-    each in folders 01, 02, ...; when absent, several are refused unless one holds nearly all of the volume."""
+    each in folders 01, 02, ... Default: several are refused unless one holds nearly all of the volume."""
     no_preview: bool = False
     """Draw no preview.png."""
     workers: OptionalInt = None
-    """Number of processes for several files; one per core when absent."""
+    """Number of processes for several files. Default: one per core."""
 
     def run(self) -> int:
         """Make the kits and print their reports; returns 1 if a kit is not exact, or if one of several has none."""

@@ -1,4 +1,4 @@
-"""Commands about single scenes: what methods, the robot and people do in them."""
+"""The commands that act in scenes: predict, run, edit and study."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ class Predict:
     split: tuple[str, ...] = ("test",)
     """Splits to predict: one or several of test, curves, val, test-all, train."""
     tracks: tuple[str, ...] = ()
-    """Tracks to predict for; all tracks of the method when absent."""
+    """Tracks to predict for. Default: all tracks of the method."""
     workers: OptionalInt = None
-    """Number of processes; one per core when absent. The predictions do not depend on it."""
+    """Number of processes. Default: one per core. The predictions do not depend on it."""
     limit: OptionalInt = None
-    """Number of queries, from the first on; all when absent."""
+    """Number of queries, from the first on. Default: all."""
     seed: int = 0
     """Seed of all draws of the method."""
     masks: Literal["given", "predicted"] = "given"
@@ -67,16 +67,16 @@ class Predict:
 
 @dataclass(frozen=True)
 class Run:
-    """Let a simulated robot pick the parts of scenes and insert them as predicted; prints what became of each part."""
+    """Let a simulated robot pick parts and insert them as predicted; print the outcome of each part."""
 
     data: Folder
     """Dataset folder, with ground truth."""
     predictions: Path
     """Submission folder or predictions file; predictions of one track."""
     scene: OptionalId = None
-    """Id of one scene, such as test-s0003; every scene with a prediction when absent."""
+    """Id of one scene, such as test-s0003. Default: every scene with a prediction."""
     track: OptionalName = None
-    """Track whose predictions are carried out, where the file has several."""
+    """Track whose predictions the robot carries out; needed if the file has several tracks."""
     out: OptionalPath = None
     """Folder for outcomes.json and a trace of each scene."""
     seed: int = 0
@@ -97,27 +97,27 @@ class Edit(OwnImages):
     """Open a page in which you drag the parts of a scene onto their cavities; prints its address. Ctrl-C ends it."""
 
     data: Folder
-    """Dataset folder, or an own depth image or recording, of which `kit1000 import` makes one beside it first."""
+    """Dataset folder; or an own depth image or recording, which is imported first into a folder beside it."""
     scene: OptionalId = None
-    """Id of the scene, such as test-s0003; the only one when absent."""
+    """Id of the scene, such as test-s0003. Default: the only one."""
     out: OptionalPath = None
-    """Submission folder for the confirmed parts and the log, edits when absent; the same command again continues. Of an
-    image: folder of the scene, beside which the edits lie."""
+    """Submission folder for the confirmed parts and the log; the same command again continues. Default: edits. For an
+    image: folder of the scene; the edits go into a folder beside it."""
     sensor: Annotated[Sensor | None, optional(Sensor)] = None
-    """Sensor of the depth image; ideal when absent, where the scene has it. Of an own image: photoneo is a scanner."""
+    """Sensor of the depth image; for an own image photoneo means a scanner. Default: ideal if the scene has it."""
     snap: Annotated[str | None, optional(str, "METHOD")] = None
-    """Method that proposes where parts fit: one of the catalog, module:Object of your own, or none; when absent,
-    registration, in own scenes with the networks that suit the noise of the camera."""
+    """Method that proposes fits: one of the catalog, module:Object of your own, or none. Default: registration; in own
+    scenes with networks for the noise of the camera."""
     interface: Literal["scene", "hand", "hand-bare"] = "scene"
     """Thing that you move: parts, or the robot's suction cup, one part at a time; bare: by gizmo. Cups never snap."""
     port: OptionalInt = None
-    """Port of the page; a free one when absent."""
+    """Port of the page. Default: a free one."""
     origin: tuple[str, ...] = ()
     """Further web addresses of the page, as behind a proxy or ssh -L with another port: http://localhost:9000."""
     truth: bool = False
-    """Show true shapes; the page and every line of the log say so."""
+    """Show the true shapes; the page and every line of the log state it."""
     base_from_camera: OptionalPath = None
-    """JSON file with the camera's pose in the base of your robot, for moves.json; that of dataset.json when absent."""
+    """JSON file with the camera's pose in the base of your robot, for moves.json. Default: that of dataset.json."""
 
     def run(self) -> int:
         """Serve the page until Ctrl-C."""
@@ -171,7 +171,7 @@ def _chosen_scene(dataset: Dataset, scene: str | None, sensor: str | None) -> tu
 
 
 def _default_method(dataset: Dataset, scene: str, sensor: str) -> str:
-    """The method that snaps where none is named: with the networks that suit an own camera, where torch is there."""
+    """The default method: for an own camera the one with networks for its noise, if torch is installed."""
     from kit1000.capture.mask_networks import networks_available
     from kit1000.perception.sensor_facts import SensorFacts, sensor_of
 
@@ -188,19 +188,19 @@ class Study:
     out: Path = Path("study")
     """Folder of the study; the same command again continues."""
     people: OptionalInt = None
-    """Number of participants, a multiple of 4; 12 when absent. Without other options: plan, and print all orders."""
+    """Number of participants, a multiple of 4. Default: 12. Without other options: plan, and print all orders."""
     conditions: tuple[str, ...] = ()
-    """Conditions: two of scene-snap, scene, hand, hand-bare; scene-snap and hand when absent."""
+    """Conditions: two of scene-snap, scene, hand, hand-bare. Default: scene-snap and hand."""
     sensor: Annotated[Sensor | None, optional(Sensor)] = None
-    """Sensor of the depth images; ideal when absent."""
+    """Sensor of the depth images. Default: ideal."""
     snap: Annotated[str | None, optional(str, "METHOD")] = None
-    """Method of the condition that snaps; registration when absent."""
+    """Method of the condition that snaps. Default: registration."""
     seed: OptionalInt = None
-    """Seed of tasks and orders; 0 when absent."""
+    """Seed of tasks and orders. Default: 0."""
     participant: OptionalInt = None
     """Number of the participant whose sitting begins or continues now, from 1; prints the address of the page."""
     port: OptionalInt = None
-    """Port of the participant's page; a free one when absent."""
+    """Port of the participant's page. Default: a free one."""
     origin: tuple[str, ...] = ()
     """Further web addresses of that page, as behind a proxy or ssh -L with another port: http://localhost:9000."""
     simulate: Annotated[str | None, optional(str, "OPERATOR")] = None

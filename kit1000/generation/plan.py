@@ -71,7 +71,11 @@ class AssemblyDraw:
 
 
 def plan_head(preset: Preset, seed: int, sources: Sources | None = None) -> dict[str, Any]:
-    """The entries of a plan that are known before any mesh file is tried; mesh files have their SHA-256."""
+    """The entries of a plan that are known before any mesh file is tried; mesh files have their SHA-256.
+
+    Raises InputError for a seed out of range.
+    """
+    stream(seed)  # checks the seed before anything is written
     head = {
         "format": FORMAT,
         "data_version": CONTENT_VERSION,

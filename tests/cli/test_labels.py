@@ -43,7 +43,7 @@ def test_an_own_scene_is_labelled_confirmed_and_scored(tmp_path: Path, capsys: p
         (["--kit", "k.stl", "--part", "p.stl", "--clearance-mm", "0"], "--clearance-mm: expected 0.05 to 100, got 0"),
         (["--scene", "test-s0009"], "no scene 'test-s0009'"),
         (["--confirm", "all", "--by", "A"], "no labels to confirm"),
-        (["--confirm", "all", "--by", "A", "--kit", "k.stl"], "--kit: the labels know their shapes"),
+        (["--confirm", "all", "--by", "A", "--kit", "k.stl"], "--kit: not allowed with --confirm"),
         (["--page"], "no file"),
     ],
 )
