@@ -16,7 +16,7 @@ from hypothesis import settings
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import Redraw
 from kit1000.export import own_part
-from kit1000.generation import parts_and_kits, shards
+from kit1000.generation import parts_and_kits, scene_files
 from kit1000.generation.build import generate
 from kit1000.generation.presets import PRESETS
 from kit1000.kits.kit import KitDesign, Plate
@@ -185,7 +185,7 @@ def withheld(tmp_path_factory: pytest.TempPathFactory) -> Published:
 @pytest.fixture
 def fake_scenes(monkeypatch: pytest.MonkeyPatch) -> None:
     """Replaces real scenes by fake ones, in this process."""
-    monkeypatch.setattr(shards, "make_scene", fake_scene)
+    monkeypatch.setattr(scene_files, "make_scene", fake_scene)
 
 
 @pytest.fixture

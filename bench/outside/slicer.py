@@ -19,7 +19,7 @@ import numpy as np
 
 from bench.outside.foreign import Report, dataset_of, kit1000, run, tail
 from kit1000.dataset.geometry import Geometry
-from kit1000.dataset.tables import pose_of
+from kit1000.dataset.json_rows import pose_of
 from kit1000.files import read_json
 
 BED = 1000  # [mm] side and height: larger than any assembly

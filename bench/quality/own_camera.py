@@ -32,7 +32,7 @@ from kit1000.capture.own_folder import write_own_folder
 from kit1000.capture.own_scene import OwnScene
 from kit1000.dataset.mcap_io import ObservationWriter
 from kit1000.dataset.reader import Dataset, RecordedScene
-from kit1000.dataset.schema import Observation
+from kit1000.dataset.scene_data import Observation
 from kit1000.metrics import Targets, pose_errors, seatings
 from kit1000.perception.calibration.plane import table_plane
 from kit1000.pose import Pose

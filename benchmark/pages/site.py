@@ -18,7 +18,7 @@ from benchmark.pages.board import Board, mean_cell, median_cell, percent, read_b
 from benchmark.pages.cases import case_ids, pictures
 from benchmark.table1 import as_html, table_of
 from kit1000.dataset.reader import Dataset
-from kit1000.dataset.schema import LICENCE
+from kit1000.dataset.scene_data import LICENCE
 from kit1000.files import check_output, write_bytes
 from kit1000.pictures import charts
 

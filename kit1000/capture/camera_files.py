@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from kit1000.capture.intrinsics import Intrinsics
-from kit1000.dataset.pose_files import TEXTS, YAMLS, read_yaml
+from kit1000.capture.pose_files import TEXTS, YAMLS, read_yaml
 from kit1000.errors import InputError
 from kit1000.files import read_json
 from kit1000.sim.sensors import Stream

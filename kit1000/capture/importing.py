@@ -16,10 +16,10 @@ from kit1000.capture.intrinsics import Intrinsics
 from kit1000.capture.options import ImportOptions
 from kit1000.capture.own_folder import write_own_folder
 from kit1000.capture.own_scene import OwnScene, frame_intrinsics, own_scene
+from kit1000.capture.pose_files import read_pose
 from kit1000.capture.scene_report import check_sides, check_size, report
 from kit1000.capture.seen_bodies import MOST_BODIES
 from kit1000.capture.table_search import Table
-from kit1000.dataset.pose_files import read_pose
 from kit1000.errors import InputError
 from kit1000.files import check_output
 

@@ -9,10 +9,10 @@ from typing import Any
 
 from kit1000.capture.options import LICENCE
 from kit1000.capture.own_scene import OwnScene
+from kit1000.dataset.json_rows import FORMAT
 from kit1000.dataset.mcap_io import ObservationWriter
 from kit1000.dataset.own_scenes import OWN, PLACES, TABLES
-from kit1000.dataset.schema import SCENES_PER_SHARD, Observation
-from kit1000.dataset.tables import FORMAT
+from kit1000.dataset.scene_data import SCENES_PER_SHARD, Observation
 from kit1000.errors import InputError
 from kit1000.files import json_bytes, new_folder, with_checksum, write_bytes, write_json
 from kit1000.perception.sensor_facts import KEY, key_of

@@ -16,9 +16,9 @@ from kit1000.capture.mask_networks import cut_back
 from kit1000.capture.options import ImportOptions
 from kit1000.capture.own_world import OwnWorld, world_of_bodies, world_of_pose
 from kit1000.capture.pinhole_images import PinholeImage
+from kit1000.capture.pose_files import read_pose
 from kit1000.capture.seen_bodies import SeenBody, seen_bodies
 from kit1000.capture.table_search import Table
-from kit1000.dataset.pose_files import read_pose
 from kit1000.errors import InputError
 from kit1000.perception.sensor_facts import D415, SCANNER, SensorFacts
 from kit1000.sim.sensors import on_depth_grid

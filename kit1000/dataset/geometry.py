@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from kit1000.dataset.json_objects import JsonObject
+from kit1000.dataset.json_rows import Row, assembly_of, check_format, kit_of, part_of, slot_of
 from kit1000.dataset.mesh_files import read_glb
-from kit1000.dataset.tables import Row, assembly_of, check_format, kit_of, part_of, slot_of
 from kit1000.errors import InputError
 from kit1000.files import read_json
 from kit1000.mesh import Mesh

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from kit1000.dataset.geometry import Geometry
+from kit1000.dataset.json_rows import Row, pose_of
 from kit1000.dataset.mcap_io import ObservationFile, TruthFile
-from kit1000.dataset.schema import SceneTruth
-from kit1000.dataset.tables import Row, pose_of
+from kit1000.dataset.scene_data import SceneTruth
 from kit1000.errors import InputError, did_you_mean
 from kit1000.files import read_json
 from kit1000.mesh import Mesh

@@ -12,7 +12,7 @@ from itertools import product
 
 import numpy as np
 
-from kit1000.dataset.tables import Row, pose_row
+from kit1000.dataset.json_rows import Row, pose_row
 from kit1000.errors import InputError
 from kit1000.pose import Pose
 from kit1000.queries.guesses import (
@@ -135,7 +135,7 @@ def scene_queries(
     parts: Sequence[PartInScene],
     target: int,
 ) -> tuple[list[Row], dict[str, Row]]:
-    """The queries of a scene and, by query id, their ground truth: rows as in `kit1000.dataset.schema`.
+    """The queries of a scene and, by query id, their ground truth: rows as in `kit1000.dataset.scene_data`.
 
     Args:
         scene_id: such as test-s0007.

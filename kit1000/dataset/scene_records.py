@@ -7,8 +7,8 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from kit1000.camera import Camera
+from kit1000.dataset.json_rows import Row, pose_row
 from kit1000.dataset.mesh_files import glb_bytes
-from kit1000.dataset.tables import Row, pose_row
 from kit1000.pose import Pose
 from kit1000.sim.render import RenderedImage
 from kit1000.sim.visibility import PartVisibility, SlotVisibility, cavity_labels

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 import numpy as np
 
-from kit1000.dataset.tables import Row, pose_row
+from kit1000.dataset.json_rows import Row, pose_row
 from kit1000.errors import InputError, ShapeError, checked
 from kit1000.files import read_json, write_json
 from kit1000.kits.seating import HOVER

@@ -15,8 +15,8 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
+from kit1000.dataset.json_rows import pose_of, pose_row
 from kit1000.dataset.reader import Dataset
-from kit1000.dataset.tables import pose_of, pose_row
 from kit1000.editor.keys import Interface
 from kit1000.editor.session import PartEdit, Session
 from kit1000.errors import InputError

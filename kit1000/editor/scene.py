@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from kit1000.dataset.pose_files import stated_pose
+from kit1000.capture.pose_files import stated_pose
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.editor.part_on_plate import Cavities, TrueContacts
 from kit1000.editor.seen import ColouredPoints, SeenScene, coloured_points, observed, seen_scene

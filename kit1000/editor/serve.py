@@ -25,8 +25,8 @@ import viser
 import websockets.asyncio.server as websocket_server
 
 from kit1000.capture.camera_poses import check_base_pose
+from kit1000.capture.pose_files import read_pose
 from kit1000.dataset.own_scenes import seen_table
-from kit1000.dataset.pose_files import read_pose
 from kit1000.dataset.reader import Dataset
 from kit1000.editor.controller import Controller
 from kit1000.editor.keys import Interface

@@ -11,8 +11,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from kit1000.dataset.json_rows import pose_row
 from kit1000.dataset.mesh_files import glb_bytes, stl_bytes
-from kit1000.dataset.tables import pose_row
 from kit1000.errors import InputError, Kit1000Error, MeshRefused, Redraw, internal_error
 from kit1000.files import check_writable, clear_partial, sha256, with_checksum, write_bytes, write_json
 from kit1000.kits.cavity import SAGITTA

@@ -7,8 +7,8 @@ from functools import lru_cache
 from itertools import permutations
 from pathlib import Path
 
+from kit1000.dataset.json_rows import assembly_of, assembly_row, kit_of, part_of
 from kit1000.dataset.mesh_files import glb_bytes, read_glb
-from kit1000.dataset.tables import assembly_of, assembly_row, kit_of, part_of
 from kit1000.errors import Redraw
 from kit1000.files import read_json, sha256
 from kit1000.generation.parts_and_kits import BUILD_FOLDER, Record, finished_record, save_record, write_mesh_file

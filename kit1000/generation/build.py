@@ -39,7 +39,7 @@ from kit1000.generation.dataset_summary import (
 from kit1000.generation.parts_and_kits import BUILD_FOLDER, PartJob, Record, make_part_and_kit, read_intact
 from kit1000.generation.plan import Sources, candidate_order, make_plan, plan_head, split_ids
 from kit1000.generation.presets import Preset
-from kit1000.generation.shards import make_shard, shard_jobs
+from kit1000.generation.scene_files import make_shard, shard_jobs
 from kit1000.generation.tried_files import deal_files, try_file, try_files
 from kit1000.parallel import ParallelMap, local_engine
 from kit1000.parts.files.read import refusal_counts

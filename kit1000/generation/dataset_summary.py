@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
-from kit1000.dataset.schema import LICENCE
-from kit1000.dataset.tables import FORMAT, Row
+from kit1000.dataset.json_rows import FORMAT, Row
+from kit1000.dataset.scene_data import LICENCE
 from kit1000.files import json_bytes, with_checksum
 from kit1000.generation.croissant import croissant_bytes
 from kit1000.generation.parts_and_kits import Record

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from kit1000.dataset.json_rows import kit_row, part_row
 from kit1000.dataset.mesh_files import glb_bytes
-from kit1000.dataset.tables import kit_row, part_row
 from kit1000.errors import InputError, Redraw
 from kit1000.files import read_json, sha256, write_bytes, write_json
 from kit1000.generation.plan import draw_part

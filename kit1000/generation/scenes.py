@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kit1000.dataset.json_rows import Row
+from kit1000.dataset.scene_data import Observation, SceneTruth
 from kit1000.dataset.scene_queries import PartInScene, asking_tracks, scene_queries
 from kit1000.dataset.scene_records import part_truth_row, scene_models, segmentation
-from kit1000.dataset.schema import Observation, SceneTruth
-from kit1000.dataset.tables import Row
 from kit1000.errors import Redraw
 from kit1000.generation.plan import is_crowded, rest_modes, scene_id_of
 from kit1000.generation.presets import Preset

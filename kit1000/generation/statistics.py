@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from kit1000.dataset.schema import SceneTruth
-from kit1000.dataset.tables import Row, pose_of
+from kit1000.dataset.json_rows import Row, pose_of
+from kit1000.dataset.scene_data import SceneTruth
 from kit1000.queries.tracks import CURVES
 
 TILT_DEG = (0, 5, 15, 30, 45)

@@ -12,11 +12,11 @@ from typing import Any
 from tqdm import tqdm
 
 from kit1000.dataset.geometry import Geometry
+from kit1000.dataset.json_rows import assembly_row
 from kit1000.dataset.mcap_io import ObservationFile, TruthFile
-from kit1000.dataset.mcap_io.content import observation_hash, truth_hash
+from kit1000.dataset.mcap_io.content_hash import observation_hash, truth_hash
 from kit1000.dataset.own_scenes import LABELS, is_labelled
 from kit1000.dataset.reader import WITHHELD_FILE, WITHOUT_TRUTH
-from kit1000.dataset.tables import assembly_row
 from kit1000.errors import InputError, Kit1000Error
 from kit1000.files import read_json, sha256
 from kit1000.generation.assemblies import read_part_and_kit
@@ -24,8 +24,8 @@ from kit1000.generation.dataset_summary import LIBRARIES, MADE_WITH, library_ver
 from kit1000.generation.parts_and_kits import PartJob, make_part_and_kit
 from kit1000.generation.plan import CONTENT_VERSION, dataset_id, draw_assembly_of
 from kit1000.generation.presets import preset_of
+from kit1000.generation.scene_files import EXTRA_VIEWS, OBSERVATIONS, SPLITS_WITH_EXTRA_VIEWS, TRUTH
 from kit1000.generation.scenes import make_scene
-from kit1000.generation.shards import EXTRA_VIEWS, OBSERVATIONS, SPLITS_WITH_EXTRA_VIEWS, TRUTH
 from kit1000.generation.withhold import secret_fault
 from kit1000.kits.assembly import build_assembly
 from kit1000.rng import stream

@@ -21,12 +21,12 @@ from typing import Any
 
 from kit1000.dataset.mcap_io import ObservationFile, ObservationWriter
 from kit1000.dataset.reader import WITHHELD_FILE
-from kit1000.dataset.schema import Observation
+from kit1000.dataset.scene_data import Observation
 from kit1000.errors import InputError
 from kit1000.files import check_writable, json_bytes, locked, read_json, sha256, write_bytes, write_json
 from kit1000.generation.dataset_summary import description_files, summary_bytes
 from kit1000.generation.presets import Preset
-from kit1000.generation.shards import EXTRA_VIEWS, OBSERVATIONS
+from kit1000.generation.scene_files import EXTRA_VIEWS, OBSERVATIONS
 from kit1000.pictures.scene_preview import scene_picture
 from kit1000.rng import MIN_SECRET_ROOT, ROOT_LIMIT
 

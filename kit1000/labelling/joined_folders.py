@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from kit1000.capture.own_folder import PRESET, folder_id
+from kit1000.dataset.json_rows import Row
 from kit1000.dataset.mcap_io import ObservationFile, ObservationWriter, TruthFile, TruthWriter
 from kit1000.dataset.own_scenes import JOINED, LABELS, OWN, PLACES, TABLES, groups_of_places
 from kit1000.dataset.reader import Dataset
-from kit1000.dataset.schema import SCENES_PER_SHARD, Observation, SceneTruth
-from kit1000.dataset.tables import Row
+from kit1000.dataset.scene_data import SCENES_PER_SHARD, Observation, SceneTruth
 from kit1000.errors import InputError, shown
 from kit1000.files import json_bytes, new_folder, read_json, sha256, with_checksum, write_bytes, write_json
 from kit1000.labelling.label_records import LabelRecord, read_record, record_path, write_record

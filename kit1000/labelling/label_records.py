@@ -12,8 +12,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from kit1000.dataset.json_rows import Row, pose_of, pose_row
 from kit1000.dataset.own_scenes import LABELS
-from kit1000.dataset.tables import Row, pose_of, pose_row
 from kit1000.errors import InputError
 from kit1000.files import json_bytes, read_json, write_bytes
 from kit1000.labelling.agreement import Agreement

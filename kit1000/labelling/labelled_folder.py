@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from kit1000.capture.own_folder import tracks_of
+from kit1000.dataset.json_rows import Row, assembly_row, kit_row, part_row
 from kit1000.dataset.mcap_io import ObservationFile, ObservationWriter, TruthFile, TruthWriter
 from kit1000.dataset.mesh_files import glb_bytes
 from kit1000.dataset.reader import Dataset
-from kit1000.dataset.schema import LICENCE, Observation, SceneTruth
-from kit1000.dataset.tables import Row, assembly_row, kit_row, part_row
+from kit1000.dataset.scene_data import LICENCE, Observation, SceneTruth
 from kit1000.errors import InputError
 from kit1000.files import json_bytes, locked, read_json, with_checksum, write_bytes, write_json
 from kit1000.labelling.known_kits import KnownKits, read_known_kits

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from kit1000.dataset.json_rows import Row
 from kit1000.dataset.scene_queries import PartInScene, asked_query, eligible
-from kit1000.dataset.tables import Row
 from kit1000.queries.pivots import part_pivots
 from kit1000.queries.tracks import TRACKS, query_id
 from kit1000.rng import stream
@@ -23,7 +23,7 @@ SEED = 0  # of all draws: equal labels give equal queries
 def real_queries(
     scene_id: str, tracks: Sequence[str], sensor: str, view: View, labels: np.ndarray, parts: Sequence[PartInScene]
 ) -> tuple[list[Row], dict[str, Row]]:
-    """The query rows of a scene and, by query id, their truth; both as in `kit1000.dataset.schema`.
+    """The query rows of a scene and, by query id, their truth; both as in `kit1000.dataset.scene_data`.
 
     Args:
         scene_id: such as test-s0007.

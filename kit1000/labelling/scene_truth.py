@@ -13,10 +13,10 @@ from itertools import combinations
 
 import numpy as np
 
+from kit1000.dataset.json_rows import Row
+from kit1000.dataset.scene_data import Observation, SceneTruth
 from kit1000.dataset.scene_queries import PartInScene
 from kit1000.dataset.scene_records import part_truth_row, scene_models, segmentation
-from kit1000.dataset.schema import Observation, SceneTruth
-from kit1000.dataset.tables import Row
 from kit1000.errors import InputError
 from kit1000.labelling.known_kits import KITS, KnownKits
 from kit1000.labelling.label_records import LabelRecord

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from kit1000.camera import Camera
-from kit1000.dataset.schema import PREVIEW_STEP, Observation, SceneTruth
+from kit1000.dataset.scene_data import PREVIEW_STEP, Observation, SceneTruth
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh
 from kit1000.pictures.depth_images import colours_of, mask_light

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from kit1000.dataset.tables import Row, pose_of, pose_row
+from kit1000.dataset.json_rows import Row, pose_of, pose_row
 from kit1000.errors import InputError
 from kit1000.planner.execute import Event, SceneRun
 from kit1000.planner.robot import HOME, tool_pose

@@ -14,8 +14,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from kit1000.dataset.json_rows import pose_of, pose_row
 from kit1000.dataset.reader import Dataset
-from kit1000.dataset.tables import pose_of, pose_row
 from kit1000.editor.controller import Controller
 from kit1000.editor.records import EventLog
 from kit1000.editor.serve import NO_SNAP, Options, editing, serving

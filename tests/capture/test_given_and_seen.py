@@ -23,7 +23,7 @@ from kit1000.capture.importing import import_scenes, imported_scenes
 from kit1000.capture.intrinsics import Intrinsics
 from kit1000.capture.options import ImportOptions
 from kit1000.capture.own_scene import OwnScene, own_scene
-from kit1000.dataset.pose_files import read_pose
+from kit1000.capture.pose_files import read_pose
 from kit1000.errors import InputError
 from kit1000.pose import Pose
 from tests.samples.own_images import CAMERA, EYE, exact_depth, millimetres, noisy_depth

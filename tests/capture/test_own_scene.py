@@ -16,8 +16,8 @@ from kit1000.capture.depth_readings import image_and_table
 from kit1000.capture.intrinsics import Intrinsics
 from kit1000.capture.options import ImportOptions
 from kit1000.capture.own_scene import OwnScene, own_scene
+from kit1000.capture.pose_files import read_pose
 from kit1000.capture.scene_report import check_size, report
-from kit1000.dataset.pose_files import read_pose
 from kit1000.errors import InputError
 from kit1000.pose import Pose
 from kit1000.sim.sensors import SENSORS, on_depth_grid

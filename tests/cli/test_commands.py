@@ -19,7 +19,7 @@ import kit1000
 from kit1000.cli import COMMANDS, main
 from kit1000.cli.summaries import summary_text
 from kit1000.export import own_part
-from kit1000.generation import build, shards
+from kit1000.generation import build, scene_files
 from kit1000.generation.build import generate
 from kit1000.generation.presets import preset
 from kit1000.kits.kit import design_kit
@@ -37,7 +37,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A finished dataset with fake scenes."""
     folder = tmp_path_factory.mktemp("data")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(shards, "make_scene", fake_scene)
+        patch.setattr(scene_files, "make_scene", fake_scene)
         generate(MINI, folder / "data", workers=1, sources=l_shape_sources(folder / "files"))
     return folder / "data"
 

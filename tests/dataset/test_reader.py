@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 
 from kit1000.camera import Camera, look_at
+from kit1000.dataset.json_rows import FORMAT, assembly_row, kit_row, part_row, pose_of, pose_row
 from kit1000.dataset.mcap_io import ObservationWriter, TruthWriter
 from kit1000.dataset.mesh_files import glb_bytes
 from kit1000.dataset.reader import Dataset, Split
+from kit1000.dataset.scene_data import Observation, SceneTruth
 from kit1000.dataset.scene_queries import PartInScene, scene_queries
-from kit1000.dataset.schema import Observation, SceneTruth
-from kit1000.dataset.tables import FORMAT, assembly_row, kit_row, part_row, pose_of, pose_row
 from kit1000.errors import InputError
 from kit1000.files import write_bytes, write_json
 from kit1000.kits.assembly import AssemblyPlan, SidePlate, build_assembly

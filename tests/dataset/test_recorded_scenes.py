@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from kit1000.dataset.json_rows import pose_row
 from kit1000.dataset.reader import Dataset, RecordedScene
-from kit1000.dataset.tables import pose_row
 from kit1000.errors import InputError
 from kit1000.sim.cameras import CAMERA, camera_set
 from kit1000.sim.sensors import DEPTH_GRID, SENSORS

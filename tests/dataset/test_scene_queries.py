@@ -12,8 +12,8 @@ import pytest
 from hypothesis import assume, given, settings
 from scipy.spatial.transform import Rotation
 
+from kit1000.dataset.json_rows import pose_of
 from kit1000.dataset.scene_queries import PAPER_TILT, eligible, largest_roll_or_pitch
-from kit1000.dataset.tables import pose_of
 from kit1000.errors import InputError
 from kit1000.pose import Pose, quaternion_angle
 from kit1000.queries.guesses import FIXED_LEVELS, LEVELS, MAX_ANGLE, MAX_OFFSET, level_angle, level_offset

@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from kit1000.capture.pose_files import stated_pose
 from kit1000.cli import main
-from kit1000.dataset.pose_files import stated_pose
 from kit1000.dataset.reader import Dataset
 from kit1000.editor.moves import FILE, FramedMove, Move, read_moves, write_moves
 from kit1000.editor.scene import EditedScene

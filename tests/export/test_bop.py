@@ -15,7 +15,7 @@ from PIL import Image
 from scipy.spatial.distance import pdist
 
 from kit1000.camera import Camera, look_at
-from kit1000.dataset.schema import SceneTruth
+from kit1000.dataset.scene_data import SceneTruth
 from kit1000.errors import InputError
 from kit1000.export import bop
 from kit1000.export.bop import DELTA, distances, gt_info, silhouette, stored_depth, visible_pixels, write_bop

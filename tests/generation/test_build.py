@@ -24,7 +24,7 @@ from kit1000 import files
 from kit1000.dataset.geometry import Geometry
 from kit1000.errors import InputError, Redraw
 from kit1000.files import locked
-from kit1000.generation import assemblies, build, parts_and_kits, shards
+from kit1000.generation import assemblies, build, parts_and_kits, scene_files
 from kit1000.generation.build import generate
 from kit1000.generation.plan import Sources
 from kit1000.mesh import defect_float32
@@ -44,7 +44,7 @@ def complete(sources: Sources, tmp_path_factory: pytest.TempPathFactory) -> Path
     """A dataset of mesh files with fake scenes."""
     root = tmp_path_factory.mktemp("whole")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(shards, "make_scene", fake_scene)
+        patch.setattr(scene_files, "make_scene", fake_scene)
         generate(MINI, root, workers=1, sources=sources)
     return root
 
@@ -136,11 +136,11 @@ import os, signal, sys
 from pathlib import Path
 from tests.samples.mini import MINI, fake_scene, l_shape_sources
 from kit1000 import files
-from kit1000.generation import shards
+from kit1000.generation import scene_files
 from kit1000.generation.build import generate
 
 if sys.argv[5] == "fake":  # also in the workers, which run these lines
-    shards.make_scene = fake_scene
+    scene_files.make_scene = fake_scene
 
 def main(root, folder, workers, allowed):
     replace, count = os.replace, 0
@@ -285,7 +285,7 @@ def test_damaged_files_are_made_again(
 def unfinished(sources: Sources, tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("ready")
     with pytest.MonkeyPatch.context() as monkeypatch:
-        monkeypatch.setattr(shards, "make_scene", fake_scene)
+        monkeypatch.setattr(scene_files, "make_scene", fake_scene)
         make_unfinished(root, sources, monkeypatch)
     return root
 

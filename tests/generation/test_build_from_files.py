@@ -13,7 +13,7 @@ from manifold3d import Manifold
 from kit1000.dataset.geometry import Geometry
 from kit1000.dataset.mesh_files import read_glb
 from kit1000.errors import InputError
-from kit1000.generation import parts_and_kits, shards, tried_files
+from kit1000.generation import parts_and_kits, scene_files, tried_files
 from kit1000.generation.build import generate
 from kit1000.generation.plan import Sources, draw_longest
 from kit1000.generation.scenes import make_scene
@@ -69,7 +69,7 @@ def test_invalid_files_are_refused_with_a_reason_and_do_not_stop_the_run(
 @pytest.mark.slow
 def test_real_parts_become_a_dataset_that_verifies(real_parts: Path, tmp_path: Path) -> None:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(shards, "make_scene", make_scene)
+        patch.setattr(scene_files, "make_scene", make_scene)
         preset = replace(MINI, train=6, val=2, test=4, kits=(2, 3))
         summary = generate(preset, tmp_path / "out", sources=Sources.of(mesh_files(real_parts)))
     assert [summary["counts"][split]["scenes"] for split in SPLITS] == [6, 2, 4]

@@ -9,7 +9,7 @@ from itertools import chain
 
 import pytest
 
-from kit1000.dataset.schema import SceneTruth
+from kit1000.dataset.scene_data import SceneTruth
 from kit1000.generation.readme import FILES, READING_EXAMPLE, citation, files_by_pattern, readme_bytes
 from kit1000.values import Query, View
 from tests.samples.cards import summary, withheld

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from kit1000.dataset.geometry import Geometry
+from kit1000.dataset.json_rows import Row, pose_of
 from kit1000.dataset.mcap_io import ObservationFile, TruthFile
 from kit1000.dataset.scene_records import FIRST_CAVITY_LABEL
-from kit1000.dataset.tables import Row, pose_of
 from kit1000.errors import Redraw
 from kit1000.generation import scenes
 from kit1000.generation.plan import draw_assembly_of

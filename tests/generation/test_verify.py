@@ -14,8 +14,8 @@ import pytest
 
 from kit1000.cli import main
 from kit1000.dataset.geometry import Geometry
+from kit1000.dataset.json_rows import pose_of, pose_row
 from kit1000.dataset.mcap_io import ObservationFile, ObservationWriter, TruthFile, TruthWriter
-from kit1000.dataset.tables import pose_of, pose_row
 from kit1000.errors import InputError
 from kit1000.files import json_bytes, read_json
 from kit1000.generation.build import generate

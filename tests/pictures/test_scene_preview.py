@@ -13,7 +13,7 @@ from kit1000.camera import Camera
 from kit1000.dataset.mcap_io import ObservationFile
 from kit1000.dataset.png_files import png_bytes
 from kit1000.dataset.reader import Dataset
-from kit1000.dataset.schema import Observation, SceneTruth
+from kit1000.dataset.scene_data import Observation, SceneTruth
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.pictures.scene_preview import (

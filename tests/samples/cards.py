@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from kit1000.dataset.schema import SceneTruth
-from kit1000.dataset.tables import FORMAT, pose_row
+from kit1000.dataset.json_rows import FORMAT, pose_row
+from kit1000.dataset.scene_data import SceneTruth
 from kit1000.generation.statistics import add_up, part_statistics, scene_statistics
 from kit1000.pose import Pose
 

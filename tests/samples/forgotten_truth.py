@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from kit1000.capture.own_folder import tracks_of
+from kit1000.dataset.json_rows import FORMAT
 from kit1000.dataset.mcap_io import ObservationWriter
-from kit1000.dataset.schema import Observation
-from kit1000.dataset.tables import FORMAT
+from kit1000.dataset.scene_data import Observation
 from kit1000.files import with_checksum, write_json
 from kit1000.pictures.scene_preview import scene_picture
 from kit1000.values import FIRST_PART_LABEL, LabelledDepth

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from kit1000.camera import Camera, look_at
+from kit1000.dataset.json_rows import FORMAT, assembly_row, kit_row, part_row
 from kit1000.dataset.mesh_files import glb_bytes
-from kit1000.dataset.tables import FORMAT, assembly_row, kit_row, part_row
 from kit1000.files import write_bytes, write_json
 from kit1000.kits.assembly import AssemblyPlan, SidePlate, build_assembly
 from kit1000.labelling.agreement import Agreement

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from kit1000.camera import Camera, look_at
+from kit1000.dataset.json_rows import Row
 from kit1000.dataset.scene_queries import PartInScene, asking_tracks, scene_queries
-from kit1000.dataset.tables import Row
 from kit1000.pose import Pose, random_quaternions
 from kit1000.queries.tracks import CURVES, TRACKS
 from kit1000.sim.layout import TUMBLED, UPRIGHT

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from kit1000.camera import Camera
+from kit1000.dataset.json_rows import Row, pose_row
 from kit1000.dataset.mcap_io import ObservationWriter, TruthWriter
-from kit1000.dataset.schema import Observation, SceneTruth
-from kit1000.dataset.tables import Row, pose_row
+from kit1000.dataset.scene_data import Observation, SceneTruth
 from kit1000.pose import Pose
 from kit1000.values import View
 

@@ -15,8 +15,8 @@ from msgspec.structs import replace
 pytest.importorskip("viser")
 
 from kit1000.cli import main
+from kit1000.dataset.json_rows import pose_row
 from kit1000.dataset.reader import Dataset
-from kit1000.dataset.tables import pose_row
 from kit1000.pose import Pose
 from kit1000.study import sitting
 from kit1000.study.execution import Executed

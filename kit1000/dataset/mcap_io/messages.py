@@ -26,7 +26,7 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from kit1000.camera import Camera
-from kit1000.dataset.mcap_io.content import compact_bytes
+from kit1000.dataset.mcap_io.content_hash import compact_bytes
 from kit1000.dataset.png_files import png_bytes, read_png
 from kit1000.errors import checked
 from kit1000.pose import Pose

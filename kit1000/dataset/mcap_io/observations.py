@@ -13,7 +13,8 @@ from functools import lru_cache
 import numpy as np
 
 from kit1000.camera import Camera
-from kit1000.dataset.mcap_io.content import check_on_grid, observation_hash
+from kit1000.dataset.json_rows import Row
+from kit1000.dataset.mcap_io.content_hash import check_on_grid, observation_hash
 from kit1000.dataset.mcap_io.messages import (
     PREVIEW_FRAME,
     Message,
@@ -32,8 +33,7 @@ from kit1000.dataset.mcap_io.messages import (
 )
 from kit1000.dataset.mcap_io.reading import ShardFile
 from kit1000.dataset.mcap_io.writing import ShardWriter
-from kit1000.dataset.schema import PREVIEW_STEP, Observation
-from kit1000.dataset.tables import Row
+from kit1000.dataset.scene_data import PREVIEW_STEP, Observation
 from kit1000.errors import InputError, checked
 from kit1000.pose import Pose
 from kit1000.values import View
@@ -92,7 +92,7 @@ class ObservationFile(ShardFile):
     CONTENTS = "observations"
 
     def queries(self, scene_id: str) -> list[Row]:
-        """The query rows of a scene, see `kit1000.dataset.schema.Observation`."""
+        """The query rows of a scene, see `kit1000.dataset.scene_data.Observation`."""
         return [row_of(data) for data in self._all(scene_id, "/query")]
 
     def view_keys(self, scene_id: str) -> tuple[str, ...]:

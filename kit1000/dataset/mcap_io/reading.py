@@ -22,9 +22,9 @@ from mcap.records import Chunk, ChunkIndex, Footer, Message
 from mcap.stream_reader import MAGIC_SIZE, breakup_chunk
 from mcap.writer import MCAP0_MAGIC as MAGIC
 
+from kit1000.dataset.json_rows import check_format
 from kit1000.dataset.mcap_io.messages import SECOND
 from kit1000.dataset.mcap_io.writing import RECORD, START, record_checksum
-from kit1000.dataset.tables import check_format
 from kit1000.errors import InputError, did_you_mean
 from kit1000.files import LFS_ADVICE, LFS_POINTER
 
@@ -56,7 +56,7 @@ class ShardFile:
         return self._index.record
 
     def content_hash(self, scene_id: str) -> str:
-        """The content hash of a scene as written in the file; see `kit1000.dataset.mcap_io.content`."""
+        """The content hash of a scene as written in the file; see `kit1000.dataset.mcap_io.content_hash`."""
         self._chunks(scene_id)
         return self._index.content[scene_id]
 

@@ -6,7 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from kit1000.dataset.mcap_io.content import truth_hash, truth_row
+from kit1000.dataset.json_rows import Row, pose_of
+from kit1000.dataset.mcap_io.content_hash import truth_hash, truth_row
 from kit1000.dataset.mcap_io.messages import (
     Message,
     frames_message,
@@ -25,8 +26,7 @@ from kit1000.dataset.mcap_io.messages import (
 from kit1000.dataset.mcap_io.observations import POSE_SCHEMA
 from kit1000.dataset.mcap_io.reading import ShardFile
 from kit1000.dataset.mcap_io.writing import ShardWriter
-from kit1000.dataset.schema import SceneTruth
-from kit1000.dataset.tables import Row, pose_of
+from kit1000.dataset.scene_data import SceneTruth
 from kit1000.errors import InputError, checked
 from kit1000.pose import Pose
 

@@ -16,10 +16,10 @@ from typing import ClassVar
 
 from mcap.writer import CompressionType, Writer
 
-from kit1000.dataset.mcap_io.content import compact_bytes
+from kit1000.dataset.json_rows import FORMAT
+from kit1000.dataset.mcap_io.content_hash import compact_bytes
 from kit1000.dataset.mcap_io.messages import LARGE, SECOND, Message
-from kit1000.dataset.schema import LICENCE
-from kit1000.dataset.tables import FORMAT
+from kit1000.dataset.scene_data import LICENCE
 from kit1000.errors import InputError
 from kit1000.files import write_bytes
 

@@ -13,8 +13,8 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from kit1000.dataset.mcap_io import ObservationFile, TruthFile, writing
-from kit1000.dataset.mcap_io.content import observation_hash, truth_hash
-from kit1000.dataset.schema import Observation
+from kit1000.dataset.mcap_io.content_hash import observation_hash, truth_hash
+from kit1000.dataset.scene_data import Observation
 from kit1000.errors import InputError
 from kit1000.values import View
 from tests.samples.recorded import CAMERA, POSE, noise, observation, query, truth, write, write_truth

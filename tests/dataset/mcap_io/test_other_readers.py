@@ -13,10 +13,10 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from kit1000.camera import Camera, look_at
+from kit1000.dataset.json_rows import pose_row
 from kit1000.dataset.mcap_io import ObservationWriter, TruthWriter
 from kit1000.dataset.mesh_files import glb_bytes, read_glb
-from kit1000.dataset.schema import Observation, SceneTruth
-from kit1000.dataset.tables import pose_row
+from kit1000.dataset.scene_data import Observation, SceneTruth
 from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.pose import Pose
 from kit1000.sim.render import render

@@ -23,8 +23,8 @@ from PIL import Image
 
 from kit1000.camera import Camera
 from kit1000.dataset.mcap_io import ObservationFile, ObservationWriter, TruthFile
-from kit1000.dataset.mcap_io.content import observation_hash, truth_hash
-from kit1000.dataset.schema import Observation
+from kit1000.dataset.mcap_io.content_hash import observation_hash, truth_hash
+from kit1000.dataset.scene_data import Observation
 from kit1000.errors import InputError
 from kit1000.pose import Pose
 from kit1000.values import View

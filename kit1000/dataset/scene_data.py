@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from kit1000.dataset.tables import Row
+from kit1000.dataset.json_rows import Row
 from kit1000.pose import Pose
 from kit1000.values import View
 

@@ -13,15 +13,15 @@ from hypothesis import strategies as st
 
 from kit1000.dataset.mcap_io import ObservationFile, TruthFile
 from kit1000.dataset.reader import Dataset
-from kit1000.dataset.schema import SCENES_PER_SHARD
+from kit1000.dataset.scene_data import SCENES_PER_SHARD
 from kit1000.errors import Redraw
 from kit1000.files import read_json
-from kit1000.generation import shards as module
+from kit1000.generation import scene_files as module
 from kit1000.generation.build import generate
 from kit1000.generation.parts_and_kits import BUILD_FOLDER
 from kit1000.generation.plan import scene_id_of
 from kit1000.generation.readme import readme_bytes
-from kit1000.generation.shards import EXTRA_VIEWS, OBSERVATIONS, TRUTH, make_shard, shard_jobs
+from kit1000.generation.scene_files import EXTRA_VIEWS, OBSERVATIONS, TRUTH, make_shard, shard_jobs
 from kit1000.generation.statistics import add_up, scene_statistics
 from kit1000.generation.verify import verify
 from tests.samples.mini import MINI, fake_scene, file_hashes, l_shape_sources

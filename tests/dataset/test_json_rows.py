@@ -11,7 +11,17 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from kit1000.dataset.tables import Row, assembly_of, assembly_row, kit_of, kit_row, part_of, part_row, pose_of, pose_row
+from kit1000.dataset.json_rows import (
+    Row,
+    assembly_of,
+    assembly_row,
+    kit_of,
+    kit_row,
+    part_of,
+    part_row,
+    pose_of,
+    pose_row,
+)
 from kit1000.files import json_bytes
 from kit1000.pose import Pose
 from kit1000.symmetry import Symmetry

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from kit1000.dataset.mcap_io import ObservationWriter, TruthWriter
-from kit1000.dataset.schema import SCENES_PER_SHARD
+from kit1000.dataset.scene_data import SCENES_PER_SHARD
 from kit1000.errors import Redraw
 from kit1000.generation.assemblies import read_assembly
 from kit1000.generation.parts_and_kits import Record, finished_record, save_record

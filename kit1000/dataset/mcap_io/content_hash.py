@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from kit1000.camera import Camera
-from kit1000.dataset.schema import Observation, SceneTruth
-from kit1000.dataset.tables import Row, pose_row
+from kit1000.dataset.json_rows import Row, pose_row
+from kit1000.dataset.scene_data import Observation, SceneTruth
 from kit1000.errors import InputError
 from kit1000.sim.sensors import DEPTH_GRID
 

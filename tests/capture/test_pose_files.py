@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from kit1000.dataset.pose_files import read_pose, stated_pose
-from kit1000.dataset.tables import pose_row
+from kit1000.capture.pose_files import read_pose, stated_pose
+from kit1000.dataset.json_rows import pose_row
 from kit1000.errors import InputError
 from kit1000.pose import Pose
 from tests.samples.strategies import poses
