@@ -26,7 +26,7 @@ from kit1000.editor.pointing import Eye
 from kit1000.editor.records import EventLog, Header
 from kit1000.editor.scene import EditedScene
 from kit1000.editor.texts import Colour
-from kit1000.editor.worker import AtOnce, Method
+from kit1000.editor.worker import Job, Method, Result, prepared, proposals_of
 from kit1000.mesh import Mesh
 from kit1000.pictures.shading import INK, PAPER, ColouredBody, shaded_picture
 from kit1000.pose import Pose
@@ -39,6 +39,27 @@ OFF = np.array([0.006, 0.005, 0.0])  # [m] of the hand from the goal
 STEPS = 7  # of a drag
 QUALITY = 72
 ARROW = np.array([(0, 0), (0, 17), (4, 13), (7, 20), (10, 19), (7, 12), (13, 12)])  # [px]
+
+
+class AtOnce:
+    """Answers guesses in this process, before the call returns."""
+
+    def __init__(self, method: Method) -> None:
+        self._method = method
+        self._done: Callable[[Result], None] | None = None
+
+    def start(self, done: Callable[[Result], None]) -> None:
+        """Answer from now on. done: called with each result."""
+        self._done = done
+
+    def ask(self, part: int, guess: Pose | None) -> None:
+        """Answer a guess, or find all fits without one."""
+        job = Job(part, guess)
+        if self._done is not None:
+            self._done(Result(job, proposals_of(prepared(self._method), job)))
+
+    def prefer(self, part: int) -> None:
+        """The part in the hand: nothing waits."""
 
 
 class Body(NamedTuple):

@@ -22,8 +22,6 @@ class Proposal:
     goal_from_now: Pose
     confidence: float
     """0 to 1: the share of such fits that are seated."""
-    answer: bool = False
-    """Whether it is the method's answer to the hand's pose as the guess, and not found without one."""
 
 
 @dataclass

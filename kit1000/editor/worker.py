@@ -157,27 +157,6 @@ class Worker:
             return Job(self._first.pop(0), None)
 
 
-class AtOnce:
-    """Answers in this process before the question returns: for scripts."""
-
-    def __init__(self, method: Method) -> None:
-        self._method = method
-        self._done: Callable[[Result], None] | None = None
-
-    def start(self, done: Callable[[Result], None]) -> None:
-        """Answer from now on. done: called with each result."""
-        self._done = done
-
-    def ask(self, part: int, guess: Pose | None) -> None:
-        """Answer a guess, or find all fits without one."""
-        job = Job(part, guess)
-        if self._done is not None:
-            self._done(Result(job, proposals_of(prepared(self._method), job)))
-
-    def prefer(self, part: int) -> None:
-        """The part in the hand: nothing waits for it."""
-
-
 def one_process() -> ProcessPoolExecutor:
     """A new process for the method."""
     return ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"), initializer=_begin)
@@ -236,7 +215,7 @@ def proposals_of(made: Prepared, job: Job) -> list[Proposal]:
     else:
         motions = [] if job.guess is None else [predictor(query, geometry)]
     predictions = (to_prediction(query, motion, 0.0) for motion in motions)
-    return [Proposal(each.goal_from_now, each.confidence, job.guess is not None) for each in predictions]
+    return [Proposal(each.goal_from_now, each.confidence) for each in predictions]
 
 
 def completion_of(made: Prepared) -> Completion:

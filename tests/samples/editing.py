@@ -148,7 +148,7 @@ def found(desk: Desk, part: int, *fits: tuple[Pose, float]) -> None:
 
 def answered(desk: Desk, part: int, guess: Pose, *fits: tuple[Pose, float]) -> None:
     """The worker answers a guess."""
-    desk.controller.received(Result(Job(part, guess), [Proposal(*fit, answer=True) for fit in fits]))
+    desk.controller.received(Result(Job(part, guess), [Proposal(*fit) for fit in fits]))
 
 
 def dragged(desk: Desk, body: int, point: np.ndarray, modifier: str | None = None, steps: int = 3) -> None:
