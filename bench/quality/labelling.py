@@ -23,8 +23,7 @@ from bench.measured import run, timed
 from benchmark.measurements import Column, Measurement, estimate
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.labelling.known_kits import KITS
-from kit1000.labelling.scene_registration import RegisteredBody, RegisteredScene, register_scene
-from kit1000.labelling.shape_distance import ShapeDistance
+from kit1000.labelling.scene_registration import RegisteredBody, RegisteredScene, ShapeDistance, register_scene
 from kit1000.labelling.starting_poses import KnownShape
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose

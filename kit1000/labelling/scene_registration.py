@@ -13,15 +13,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
+from scipy.spatial import KDTree
 
 from kit1000.errors import InputError
 from kit1000.labelling.agreement import Agreement, agreement
 from kit1000.labelling.alignment import SCALE_SPREAD, PlacedShape, align
 from kit1000.labelling.body_windows import BodyWindow, body_windows
-from kit1000.labelling.shape_distance import ShapeDistance
 from kit1000.labelling.standing_plane import Support, seen_support
 from kit1000.labelling.starting_poses import KnownShape, Start, starts
+from kit1000.mesh import Mesh, surface_points
 from kit1000.pose import Pose
+from kit1000.rng import stream
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth
 
 KIT_TURNS = 72  # starting turns of the kits
@@ -170,3 +172,27 @@ def _different(found: Sequence[Start], distance: ShapeDistance) -> Iterator[Star
             yield start
         if len(kept) == MOST_TRIED:
             return
+
+
+DENSE, SPARSE = 6000, 600  # points of a surface that are searched, and that are looked up
+FARTHEST = 98  # percent of the points: single ones of a sparse surface may lie farther from their neighbours
+
+
+class ShapeDistance:
+    """The distance between poses of one shape: up to its symmetries, and those that no one declared."""
+
+    def __init__(self, mesh: Mesh) -> None:
+        """Prepare a mesh, in its own frame."""
+        points = surface_points(mesh, DENSE, stream(0, "labelling", "surface"))
+        self._tree, self._points = KDTree(points), points[:SPARSE]
+        self._spacing = self._far(self._points + 1e-12, 2)
+
+    def between(self, a: Pose, b: Pose) -> float:
+        """[m] from the surface at one pose to that at the other, nearly the largest; 0 where they coincide."""
+        moved = (a.inverse() @ b).apply(self._points)
+        return max(self._far(moved, 1) - self._spacing, 0.0)
+
+    def _far(self, points: np.ndarray, rank: int) -> float:
+        """[m] to the neighbour of a rank, nearly the largest."""
+        distances = np.reshape(self._tree.query(points, k=rank)[0], (len(points), rank))
+        return float(np.percentile(distances[:, -1], FARTHEST))

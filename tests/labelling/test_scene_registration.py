@@ -10,8 +10,7 @@ import pytest
 from kit1000.errors import InputError
 from kit1000.labelling import scene_registration
 from kit1000.labelling.known_kits import KITS
-from kit1000.labelling.scene_registration import RegisteredScene, register_scene
-from kit1000.labelling.shape_distance import ShapeDistance
+from kit1000.labelling.scene_registration import RegisteredScene, ShapeDistance, register_scene
 from kit1000.pose import Pose
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth
 from tests.samples.labelled_scenes import SampleScene, sample_scene

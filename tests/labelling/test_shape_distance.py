@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from manifold3d import Manifold
 
-from kit1000.labelling.shape_distance import ShapeDistance
+from kit1000.labelling.scene_registration import ShapeDistance
 from kit1000.mesh import mesh_from_solid
 from kit1000.pose import Pose
 

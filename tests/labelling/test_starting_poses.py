@@ -7,7 +7,7 @@ import pytest
 from manifold3d import Manifold
 
 from kit1000.labelling.body_windows import body_windows
-from kit1000.labelling.shape_distance import ShapeDistance
+from kit1000.labelling.scene_registration import ShapeDistance
 from kit1000.labelling.standing_plane import seen_support
 from kit1000.labelling.starting_poses import KnownShape, stable_normals, starts
 from kit1000.mesh import mesh_from_solid
