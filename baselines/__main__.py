@@ -92,7 +92,7 @@ class Rerun:
 
     def run(self) -> int:
         """Predict and compare; 1 where a prediction differs."""
-        from baselines.running.rerun import rerun
+        from baselines.rerun import rerun
 
         check_least(first=(self.first, 1), workers=(self.workers, 1))
         good = True
@@ -134,7 +134,7 @@ class Train:
 
     def run(self) -> int:
         """Train, then print how it ended."""
-        from baselines.running.train import train_network
+        from baselines.train import train_network
 
         fields = ("steps", "batch", "seed", "learning_rate", "workers", "threads", "time_limit_s")
         changes = {name: value for name in fields if (value := getattr(self, name)) is not None}

@@ -56,4 +56,4 @@ TRAINING = {
     ),
     "paper": TrainConfig(steps=100_000, batch=12, learning_rate=2e-3, decay="none", validate_every=1000),
 }
-NETWORKS = {"kitnet": Network("baselines.kitnet.task:kitnet_task", TRAINING)}
+NETWORKS = {"kitnet": Network("baselines.kitnet.examples:kitnet_task", TRAINING)}

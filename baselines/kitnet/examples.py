@@ -1,4 +1,4 @@
-"""Training and validation examples of KitNet: two views and the rotations that are correct between them."""
+"""The training task of KitNet and its examples: two views and the rotations that are correct between them."""
 
 from __future__ import annotations
 
@@ -7,11 +7,16 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+import torch
+from torch import Tensor
 
-from baselines.kitnet.config import KitNetConfig
+from baselines.kitnet.config import KITNET, KitNetConfig
+from baselines.kitnet.network import KitNet, rotation_error, rotation_loss
 from baselines.kitnet.views import CavityView, cavity_image, cavity_view, part_image
 from baselines.training.tasks.goal_draws import GoalQuery, QueryDraws
+from kit1000.dataset.reader import Dataset
 from kit1000.perception.heights.maps import HeightMap
+from kit1000.perception.heights.scene_heights import RenderedHeights
 from kit1000.perception.heights.shell import shell_points
 from kit1000.perception.observed.plates import Plane
 from kit1000.pose import Pose
@@ -22,6 +27,8 @@ NEAR = float(np.radians(30))  # from a goal, within which a part without a guess
 BAND = 0.05  # width of the wiped band, as a share of a view
 PARTS = 4096  # whose shells are kept in memory: 0.1 MB each
 Example = dict[str, np.ndarray]
+VALIDATION_QUERIES = 100  # spread evenly over the validation split
+Batch = dict[str, Tensor]
 
 
 @dataclass
@@ -113,3 +120,42 @@ def wiped(view: np.ndarray, share: float, rng: np.random.Generator) -> np.ndarra
     across = (i - middle[0]) * np.cos(angle) + (j - middle[1]) * np.sin(angle)
     keep = (rng.random(view.shape) >= share) & (np.abs(across) > BAND * pixels / 2)
     return np.where(keep, view, np.float32(0))
+
+
+@dataclass
+class KitNetTask:
+    """Rotate a part into its slot. Validation examples are never trained on, as they are in the release."""
+
+    training: KitNetExamples
+    validation: KitNetExamples
+    model: KitNet
+
+    def example(self, rng: np.random.Generator) -> Example:
+        """A part of any scene, within some 30 degrees of a goal."""
+        return self.training.draw(rng)
+
+    def validation_keys(self) -> Sequence[str]:
+        """Ids of queries, spread evenly over their split."""
+        return self.validation.keys(VALIDATION_QUERIES)
+
+    def validation_example(self, key: str) -> Example:
+        """The query as it lies."""
+        return self.validation.stored(key)
+
+    def loss(self, batch: Batch) -> Tensor:
+        """() the mean of `rotation_loss`."""
+        return rotation_loss(self._predicted(batch), batch["goals"], batch["weights"]).mean()
+
+    def measure(self, batch: Batch) -> Batch:
+        """(B,) `rotation_deg`: the angle to the nearest goal."""
+        return {"rotation_deg": torch.rad2deg(rotation_error(self._predicted(batch), batch["goals"], batch["weights"]))}
+
+    def _predicted(self, batch: Batch) -> Tensor:
+        return self.model(batch["part"], batch["cavity"])
+
+
+def kitnet_task(dataset: Dataset, preset: str) -> tuple[KitNetTask, KitNetConfig]:
+    """The task with new weights, and the network's config."""
+    config, heights = KITNET[preset], RenderedHeights.beside(dataset)
+    training, validation = (KitNetExamples(QueryDraws(dataset, split, heights), config) for split in ("train", "val"))
+    return KitNetTask(training, validation, KitNet(config)), config

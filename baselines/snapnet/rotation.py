@@ -33,7 +33,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from baselines.snapnet.config import RotationConfig
-from baselines.snapnet.points import interpolated, rotated
+from baselines.snapnet.query_volumes import interpolated, rotated
 from baselines.snapnet.set_abstraction import MLP, Groups, SetAbstraction, ball_query, farthest_points
 
 RADII = ((0.1, 0.2, 0.4), (0.2, 0.4, 0.8))  # of the scales of both levels, relative to the largest distance of a point

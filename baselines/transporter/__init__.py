@@ -37,4 +37,4 @@ TRAINING = {
     "paper": TrainConfig(steps=100_000, batch=1, learning_rate=1e-4, decay="none", validate_every=1000),
 }
 
-NETWORKS = {"transporter": Network("baselines.transporter.task:transporter_task", TRAINING)}
+NETWORKS = {"transporter": Network("baselines.transporter.examples:transporter_task", TRAINING)}

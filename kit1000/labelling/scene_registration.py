@@ -35,6 +35,8 @@ LEAST_MARGIN = 0.02  # of the cost, to that of another pose
 MOST_SCALE = 3 * SCALE_SPREAD  # beyond, no camera is believed
 MOST_SPREAD = 1.2e-3  # [m] of a body along the line of sight, which bent depths and their scale leave open
 OFTEN = 400  # most starts that are looked through for different ones
+DENSE, SPARSE = 6000, 600  # points of a surface that are searched, and that are looked up
+FARTHEST = 98  # percent of the points: single ones of a sparse surface may lie farther from their neighbours
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,10 +174,6 @@ def _different(found: Sequence[Start], distance: ShapeDistance) -> Iterator[Star
             yield start
         if len(kept) == MOST_TRIED:
             return
-
-
-DENSE, SPARSE = 6000, 600  # points of a surface that are searched, and that are looked up
-FARTHEST = 98  # percent of the points: single ones of a sparse surface may lie farther from their neighbours
 
 
 class ShapeDistance:

@@ -11,7 +11,7 @@ import pytest
 
 from baselines.__main__ import main as baselines
 from baselines.catalog import run_config
-from baselines.running.rerun import rerun
+from baselines.rerun import rerun
 from benchmark.__main__ import main as benchmark
 from benchmark.rescore import rescore
 from kit1000.errors import InputError

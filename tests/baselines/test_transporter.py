@@ -12,8 +12,7 @@ from torch.utils.data import default_collate
 
 from baselines.training.tasks.goal_draws import QueryDraws
 from baselines.transporter.config import TRANSPORTER, YAW_STEP, YAWS, TransporterConfig
-from baselines.transporter.examples import GUESS_YAWS, TransporterExamples, goals_of
-from baselines.transporter.fcn import FCN, Block
+from baselines.transporter.examples import GUESS_YAWS, TransporterExamples, goals_of, transporter_loss
 from baselines.transporter.inputs import guess_window, kit_maps, part_maps, start_of
 from baselines.transporter.lattice import (
     lattice_of,
@@ -23,19 +22,19 @@ from baselines.transporter.lattice import (
     spread_cells,
     tilt_and_yaw,
 )
-from baselines.transporter.method import Transporter, motion_to, within_window
+from baselines.transporter.method import Transporter, motion_to, search, within_window
 from baselines.transporter.network import (
+    FCN,
     FEATURES,
     PER_SCALAR,
     SCALARS,
     SCORED,
+    Block,
     TransporterNet,
     correlate,
     rotated_crops,
     with_slopes,
 )
-from baselines.transporter.search import search
-from baselines.transporter.task import transporter_loss
 from kit1000.dataset.reader import Dataset
 from kit1000.perception.heights.maps import HeightMap
 from kit1000.perception.heights.scene_heights import RenderedHeights, SceneHeights

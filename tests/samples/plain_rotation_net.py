@@ -14,7 +14,7 @@ from scipy.ndimage import map_coordinates
 from torch import Tensor, nn
 
 from baselines.snapnet.config import RotationConfig
-from baselines.snapnet.points import rotated
+from baselines.snapnet.query_volumes import rotated
 from baselines.snapnet.rotation import COUNTS, RADII, RotationNet
 from baselines.snapnet.set_abstraction import MLP, Dense, SetAbstraction, squared_distances
 

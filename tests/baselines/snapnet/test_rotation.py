@@ -13,7 +13,7 @@ from torch import Tensor
 from baselines.snapnet import rotation
 from baselines.snapnet.candidate_rotations import candidates
 from baselines.snapnet.config import ROTATION, RotationConfig
-from baselines.snapnet.points import Where, interpolated, rotated, sample_points
+from baselines.snapnet.query_volumes import Where, interpolated, rotated, sample_points
 from baselines.snapnet.rotation import SPREAD, RotationNet, rotation_loss, rotation_of
 from baselines.snapnet.set_abstraction import (
     Groups,

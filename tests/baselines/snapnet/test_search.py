@@ -10,9 +10,9 @@ import pytest
 import torch
 
 from baselines.snapnet.config import POSITION, Cells, Source
+from baselines.snapnet.method import APART, REACH, RISE, YAWS, best_cells, likely_starts, wide_window
 from baselines.snapnet.position import COARSEST, PositionNet
 from baselines.snapnet.query_volumes import grid_about
-from baselines.snapnet.search import APART, REACH, RISE, YAWS, best_cells, likely_starts, wide_window
 from kit1000.pose import Pose
 from kit1000.rng import stream
 

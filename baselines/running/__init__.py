@@ -1,1 +1,0 @@
-"""Training networks by name, and predicting submissions again."""
