@@ -56,7 +56,7 @@ def trials_csv(participants: Iterable[Participant]) -> str:
     writer.writerow([*COLUMNS, "seated", "seated_by_test", "position_mm", "angle_deg"])
     for trial in (trial for person in participants for trial in person.trials):
         errors = [[getattr(part, name) for part in trial.parts] for name in ("position_mm", "angle_deg")]
-        lists = [" ".join("" if error is None else str(error) for error in each).strip() for each in errors]
+        lists = [" ".join("NA" if error is None else str(error) for error in each) for each in errors]
         by_test = sum(part.seated_by_test for part in trial.parts)
         writer.writerow([*(getattr(trial, name) for name in COLUMNS), trial.seated, by_test, *lists])
     return text.getvalue()
@@ -68,6 +68,10 @@ def table(analysis: Analysis) -> str:
     who = "participants" if analysis.operator == PEOPLE else "simulated participants, which say nothing about people,"
     lines = [f"# {one} against {other}", ""]
     lines.append(f"{analysis.n} of {analysis.planned} planned {who} have done all tasks of study {analysis.study}.")
+    left_out = "; ".join(f"participant {number} ({why})" for number, why in analysis.left_out.items())
+    lines.append(f"Left out: {left_out or 'nobody'}. Orders are {'' if analysis.balanced else 'not '}balanced.")
+    late = ", ".join(f"{CONDITIONS[name].label} {count}" for name, count in analysis.out_of_time.items())
+    lines.append(f"Tasks in which a part was not uploaded in time: {late}.")
     lines.append("Difference: the first condition minus the second, with the 95 % BCa interval over participants.")
     lines.append("p: of the named test; for the six scales adjusted after Holm.")
     lines += ["", f"| outcome | {one} | {other} | difference | d_z | rank-biserial | p | test |"]

@@ -188,7 +188,9 @@ def test_a_report_of_a_simulated_operator_says_so_and_has_no_ratings(tmp_path: P
 
 def test_unfinished_participants_are_left_out_and_named(study: Path) -> None:
     first(study / "people/p004", "trial.json").unlink()
-    numbers = json.loads((write_report(study).parent / "analysis.json").read_text())
+    path = write_report(study)
+    assert "Left out: participant 4 (7 of 8 tasks done). Orders are not balanced." in path.read_text()
+    numbers = json.loads((path.parent / "analysis.json").read_text())
     assert numbers["n"] == 3
     assert numbers["left_out"] == {"4": "7 of 8 tasks done"}
     assert not numbers["balanced"]
