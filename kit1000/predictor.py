@@ -1,4 +1,4 @@
-"""What a method is to the benchmark: something to call with a query, which returns a motion of the part."""
+"""The interface of a method: a callable that takes a query and returns a motion of the part."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ class PredictedMotion(NamedTuple):
     """What a method predicts for a query."""
 
     goal_from_now: Pose
-    """The motion, in the world, that takes the part from where it lies to its goal."""
+    """Motion in the world that takes the part from its present pose to its goal."""
     confidence: float
-    """0 to 1: how sure the method is, to be compared with its own other predictions."""
+    """0 to 1; it is compared with the confidences of the other predictions of the same method."""
 
 
 class Predictor(Protocol):
@@ -35,10 +35,10 @@ class Predictor(Protocol):
 
 
 class Proposer(Protocol):
-    """What a method may offer beside its prediction: all fits of a part, for a person to choose among."""
+    """A method that also returns all fits of a part, from which a person can choose."""
 
     def propose(self, query: Query, geometry: TrueGeometry | None, /) -> Sequence[PredictedMotion]:
-        """All fits, the best first, none where nothing fits; the first is what the predictor returns.
+        """All fits, the best first; empty if nothing fits. The first one is what the predictor returns.
 
         A confidence is calibrated: of fits with 0.8, about 80 % are seated.
         """
@@ -49,8 +49,8 @@ def resolved(target: str) -> Any:
     """The object that `module:Object` or `file.py:Object` names.
 
     Raises:
-        InputError: there is none that can be called.
-        InternalError: its module fails while it is imported, or ends the process.
+        InputError: there is no such object, or it cannot be called.
+        InternalError: its module fails or ends the process while it is imported.
     """
     module, name = module_and_object(target)
     try:
@@ -67,9 +67,9 @@ def resolved(target: str) -> Any:
 
 
 def module_and_object(target: str) -> tuple[str, str]:
-    """The module and the object that a target names; the folder of a file is made one of those that are searched.
+    """The names of the module and the object of a target; the folder of a file is added to `sys.path`.
 
-    Raises InputError where the file is missing, or has the name of another module that is loaded.
+    Raises InputError if the file is missing, or another module of its name is loaded.
     """
     match = FILE_TARGET.match(target)
     if match is None:
@@ -89,9 +89,9 @@ def module_and_object(target: str) -> tuple[str, str]:
 
 
 def to_prediction(query: Query, predicted: PredictedMotion, seconds: float) -> Prediction:
-    """What a method returned for a query as a prediction; raises InputError where it is not one.
+    """The return value of a method as a Prediction; raises InputError if it is not a PredictedMotion.
 
-    seconds: [s] that the method took.
+    seconds: time that the method took [s].
     """
     if not (isinstance(predicted, tuple) and len(predicted) == 2 and isinstance(predicted[0], Pose)):
         wanted = "expected a PredictedMotion(goal_from_now: Pose, confidence: float)"

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
-from kit1000.dataset.json_objects import JsonObject
 from kit1000.dataset.json_rows import Row, assembly_of, check_format, kit_of, part_of, slot_of
 from kit1000.dataset.mesh_files import read_glb
 from kit1000.errors import InputError
@@ -100,3 +99,18 @@ class Geometry:
 
     def _mesh(self, kind: str, item_id: str) -> Mesh:
         return next(iter(read_glb(self.root / kind / f"{item_id}.glb").values()))
+
+
+class JsonObject(dict[str, Any]):
+    """A JSON object, in which a missing entry raises InputError; objects in it are such objects too."""
+
+    def __init__(self, values: dict[str, Any], place: str, repair: str) -> None:
+        """place: of the object, such as a file; begins messages. repair: how to mend it; ends them."""
+        super().__init__(
+            (key, JsonObject(each, f"{place}: {key}", repair) if isinstance(each, dict) else each)
+            for key, each in values.items()
+        )
+        self.place, self.repair = place, repair
+
+    def __missing__(self, key: str) -> NoReturn:
+        raise InputError(f"{self.place}: has no {key!r}; {self.repair}")

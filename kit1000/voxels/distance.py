@@ -17,8 +17,7 @@ from kit1000.errors import InputError, MeshRefused
 from kit1000.mesh import Mesh, defect
 from kit1000.numerics.compiled import compiled
 from kit1000.pose import Pose
-from kit1000.voxels.grid import Grid, Volume, truncation_voxels
-from kit1000.voxels.slabs import for_each_slab
+from kit1000.voxels.grid import Grid, Volume, for_each_slab, truncation_voxels
 
 LANES = 8  # voxels per SIMD block
 PLANES = 7  # linear functions of a triangle: height, then outward distance from each edge, position along each edge

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,10 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kit1000.errors import InputError, ShapeError, checked
+from kit1000.parallel import usable_cores
 from kit1000.pose import Pose
 
 MAX_VOXELS = 1 << 31  # 8 GiB of float32: with more, the voxel size is probably in the wrong unit
 DEFAULT_TRUNCATION = 5.0  # [voxels] that of the paper
+SLAB_VOXELS = 1 << 17  # half a megabyte of float32: fits the cache of a core, and gives enough slabs for all threads
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +27,7 @@ class Grid:
     shape: tuple[int, int, int]
     """Number of voxels (nx, ny, nz)."""
     voxel_size: float
-    """[m] between the centres of neighbours."""
+    """Distance between the centres of neighbours [m]."""
     world_from_grid: Pose
     """The centre of voxel (i, j, k) is at world_from_grid.apply((i, j, k) * voxel_size)."""
 
@@ -157,3 +161,22 @@ def _slices(first: np.ndarray, last: np.ndarray) -> tuple[slice, ...]:
 def _read_only(values: np.ndarray) -> np.ndarray:
     values.setflags(write=False)
     return values
+
+
+def for_each_slab(work: Callable[[int, int], None], shape: tuple[int, int, int], threads: int | None) -> None:
+    """Call work(start, stop) in threads, for ranges that cover the first axis; compiled loops run side by side.
+
+    The ranges, and so the results, do not depend on the number of threads; None: all available cores.
+    """
+    if threads is not None and not (isinstance(threads, int) and threads >= 1):
+        raise InputError(f"threads: expected a whole number from 1 up, or None for all cores, got {threads!r}")
+    step = max(SLAB_VOXELS // (shape[1] * shape[2]), 1)
+    ranges = [(start, min(start + step, shape[0])) for start in range(0, shape[0], step)]
+    count = min(threads or usable_cores(), len(ranges))
+    if count == 1:
+        for start, stop in ranges:
+            work(start, stop)
+        return
+    with ThreadPoolExecutor(count) as pool:
+        for _ in pool.map(lambda slab: work(*slab), ranges):
+            pass  # reading the results raises the exceptions of the threads

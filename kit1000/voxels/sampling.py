@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from kit1000.numerics.compiled import compiled
-from kit1000.voxels.grid import Grid, Volume
-from kit1000.voxels.slabs import for_each_slab
+from kit1000.voxels.grid import Grid, Volume, for_each_slab
 
 SNAP_TOLERANCE = 1e-6  # [voxels] within which a point counts as a voxel's centre: rounding then needs no neighbour
 MAX_STEP = 1.0  # neighbours whose values differ by more are at the border of the observed region

@@ -15,8 +15,7 @@ from kit1000.errors import InputError, ShapeError, checked
 from kit1000.numerics.compiled import compiled
 from kit1000.numerics.linear_algebra import matmul
 from kit1000.values import View
-from kit1000.voxels.grid import Grid, Volume, truncation_voxels
-from kit1000.voxels.slabs import for_each_slab
+from kit1000.voxels.grid import Grid, Volume, for_each_slab, truncation_voxels
 
 MIN_DEPTH = 1e-6  # [m] of a voxel in front of the camera; others have no pixel
 

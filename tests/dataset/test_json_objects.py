@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kit1000.dataset.json_objects import JsonObject
+from kit1000.dataset.geometry import JsonObject
 from kit1000.errors import InputError
 
 texts = st.text(max_size=4)
