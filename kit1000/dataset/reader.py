@@ -62,8 +62,8 @@ class Dataset:
 
     def __init__(self, root: str | Path) -> None:
         """Open a dataset folder. Raises InputError when it is no dataset, or an unfinished one."""
-        self.root = Path(root)
-        self.geometry = Geometry(root)
+        self.root = Path(root).absolute()  # it stays the same in a worker, and after a change of the working folder
+        self.geometry = Geometry(self.root)
         self._files = lru_cache(MAX_OPEN_FILES)(self._open)
         self._labelled_depths = lru_cache(CACHED_IMAGES)(self._read_labelled_depth)
 

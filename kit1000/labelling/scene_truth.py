@@ -15,15 +15,16 @@ import numpy as np
 
 from kit1000.dataset.json_rows import Row
 from kit1000.dataset.scene_data import Observation, SceneTruth
-from kit1000.dataset.scene_queries import PartInScene
+from kit1000.dataset.scene_queries import PartInScene, asked_query, eligible
 from kit1000.dataset.scene_records import part_truth_row, scene_models, segmentation
 from kit1000.errors import InputError
 from kit1000.labelling.known_kits import KITS, KnownKits
 from kit1000.labelling.label_records import LabelRecord
-from kit1000.labelling.real_queries import real_queries
 from kit1000.pictures.scene_preview import scene_picture, with_previews
 from kit1000.pose import Pose
 from kit1000.queries.pivots import part_pivots
+from kit1000.queries.tracks import TRACKS, query_id
+from kit1000.rng import stream
 from kit1000.sim.footprints import footprint, footprint_distance
 from kit1000.sim.layout import MIN_GAP, TUMBLED, UPRIGHT, table
 from kit1000.sim.render import RenderedImage, render
@@ -31,6 +32,7 @@ from kit1000.sim.visibility import part_visibility, slot_visibility, view_redraw
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, Mount, Part, View
 
 UPRIGHT_ANGLE = np.radians(10)  # from the insertion face down, up to which a part lies on it
+SEED = 0  # of all draws: equal labels give equal queries
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,3 +141,31 @@ def _segmentation(frame: RenderedImage, view: View, camera_pose: Pose, placed: S
 def _crowded(placed: Sequence[_Placed]) -> bool:
     outlines = [footprint(each.part.mesh, each.world_from_part) for each in placed]
     return any(footprint_distance(a, b) < MIN_GAP for a, b in combinations(outlines, 2))
+
+
+def real_queries(
+    scene_id: str, tracks: Sequence[str], sensor: str, view: View, labels: np.ndarray, parts: Sequence[PartInScene]
+) -> tuple[list[Row], dict[str, Row]]:
+    """The query rows of a scene and, by query id, their truth; both as in `kit1000.dataset.scene_data`.
+
+    Args:
+        scene_id: such as test-s0007.
+        tracks: the tracks of the folder.
+        sensor: key of the view.
+        view: the depth image.
+        labels: (H, W) uint8 masks, see `kit1000.values.LabelledDepth`.
+        parts: those of the scene, in their order.
+    """
+    pivots = part_pivots(view, labels)
+    visible = [part for part in parts if part.invisibility is None and part.index in pivots]
+    rows: list[Row] = []
+    truths: dict[str, Row] = {}
+    for name in tracks:
+        asked = [part for part in visible if eligible(TRACKS[name], part)]
+        drawn = int(stream(SEED, "labelled", scene_id, name, "drawn").integers(len(asked))) if asked else None
+        for number, part in enumerate(asked):
+            identity, rng = query_id(scene_id, part.index, name), stream(SEED, "labelled", scene_id, part.index, name)
+            query = asked_query(identity, TRACKS[name], sensor, part, pivots[part.index], rng)
+            rows.append(query.row(number == drawn))
+            truths[identity] = query.truth
+    return rows, truths

@@ -221,6 +221,16 @@ def test_the_truth_must_be_requested(root: Path) -> None:
     assert not opened
 
 
+def test_a_relative_path_stays_that_of_the_folder_where_it_was_opened(
+    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(root.parent)
+    dataset = Dataset(root.name)
+    monkeypatch.chdir(tmp_path)
+    assert dataset.geometry.parts
+    assert list(pickle.loads(pickle.dumps(dataset)).split("test").queries())
+
+
 def test_splits_have_their_scenes_in_order(root: Path) -> None:
     dataset = Dataset(root)
     assert dataset.split("train").scene_ids == ["train-s0000", "train-s0001"]
