@@ -18,6 +18,8 @@ from kit1000.pose import Pose, unit_vector
 # With a view direction this close [sine of the angle] to `up`, rounding would determine the roll of the camera.
 UPRIGHT_TOLERANCE = 1e-6
 
+NEAREST = 1e-3  # [m] depth up to which a point has no window
+
 
 @dataclass(frozen=True)
 class Camera:
@@ -105,6 +107,26 @@ class Camera:
             cx=(self.cx + 0.5) * across - 0.5,
             cy=(self.cy + 0.5) * down - 0.5,
         )
+
+    def window(
+        self, points_cam: np.ndarray, low: ArrayLike, high: ArrayLike, margin: int = 0, step: int = 1
+    ) -> tuple[int, int, Camera]:
+        """The window of an image in which points lie: its first column and row [px], and a camera of it alone.
+
+        Args:
+            points_cam: (n, 3) [m] in the camera frame; if some are not in front of the camera, the window is largest.
+            low: (2,) first column and row of the largest window; negative ones are beyond the image.
+            high: (2,) the columns and rows after its last ones.
+            margin: [px] around the points.
+            step: [px] of which the first column and row are multiples.
+        """
+        first, last = np.array(low), np.array(high)
+        if points_cam[:, 2].min() > NEAREST:
+            pixels = self.project(points_cam)
+            first = np.clip(np.floor(pixels.min(0)) - margin, low, last - step) // step * step
+            last = np.clip(np.ceil(pixels.max(0)) + 1 + margin, first + step, high)
+        (left, top), (width, height) = first.astype(int).tolist(), (last - first).astype(int).tolist()
+        return left, top, Camera(width, height, self.fx, self.fy, self.cx - left, self.cy - top)
 
 
 def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> Pose:

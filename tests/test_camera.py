@@ -166,3 +166,18 @@ def test_look_at_moves_with_the_world(world_from_old: Pose, eye: np.ndarray) -> 
 def test_a_view_without_direction_or_up_vector_is_rejected(eye: list, target: list, up: list, name: str) -> None:
     with pytest.raises(InputError, match=f"{name}: expected a direction"):
         look_at(eye, target, up)
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([1, 2]), st.integers(0, 9))
+def test_a_window_shows_what_the_image_shows_there(seed: int, step: int, margin: int) -> None:
+    camera = Camera(64, 48, 60.0, 61.0, 31.5, 23.0)
+    points = np.random.default_rng(seed).uniform((-0.3, -0.3, 0.6), (0.3, 0.3, 1.0), (3, 3))
+    left, top, window = camera.window(points, (-64, -48), (128, 96), margin, step)
+    pixels = camera.project(points)
+    assert np.allclose(window.project(points), pixels - (left, top))
+    assert left % step == top % step == 0
+    inside = ((pixels >= (-64, -48)) & (pixels <= (127, 95))).all(axis=1)
+    shown = window.project(points[inside])
+    assert ((shown >= 0) & (shown <= (window.width - 1, window.height - 1))).all()
+    behind = camera.window(points - (0, 0, 0.8), (0, 0), (64, 48))
+    assert behind == (0, 0, camera) or (points[:, 2] > 0.8).all()

@@ -2,6 +2,9 @@
 
 A BOP scene is one KIT1000 scene with one image. Objects are the parts and, last in each image, the assembly; targets
 are the parts with queries. Poses are the true ones, also for a sensor with an error in its camera pose.
+
+The origin of a part's model is the part's centroid, which every symmetry fixes; that of an assembly is at its foot, as
+elsewhere in KIT1000. BOP specifies the centre of the bounding box, on which no tool relies.
 """
 
 from __future__ import annotations
@@ -12,14 +15,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 import numpy as np
+from scipy.spatial import ConvexHull
+from scipy.spatial.distance import pdist
 from tqdm import tqdm
 
 from kit1000.camera import Camera
+from kit1000.dataset.geometry import Geometry
 from kit1000.dataset.png_files import png_bytes
 from kit1000.errors import InputError
-from kit1000.export.bop_models import ASSEMBLY, KINDS, MM, PART, model_info, object_numbers, ply_bytes
 from kit1000.files import json_bytes, new_folder
 from kit1000.mesh import Mesh
+from kit1000.pictures.creases import corner_angles
 from kit1000.pose import Pose
 from kit1000.queries.tracks import SPLITS, Sensor
 from kit1000.sim.render import render
@@ -28,6 +34,9 @@ from kit1000.symmetry import Symmetry
 if TYPE_CHECKING:
     from kit1000.dataset.reader import Dataset, RecordedScene
 
+MM = 1e3  # per metre
+PART, ASSEMBLY = "part", "assembly"
+KINDS = {PART: "parts", ASSEMBLY: "assemblies"}  # table of each kind
 SENSORS: tuple[str, ...] = get_args(Sensor)
 DEPTH_SCALE = 0.1  # [mm] of one step of a depth image; the largest depth is 6.55 m
 MAX_STEPS = np.iinfo(np.uint16).max
@@ -81,7 +90,11 @@ def write_bop(
             recorded = dataset.split(name, truth=True).scene(scene)
             camera = _write_scene(out / name / f"{number:06d}", recorded, dataset, numbers, sensor)
             used |= {(PART if i else ASSEMBLY, body.id) for i, body in enumerate(recorded.scene.bodies)}
-            targets[name] += _targets(number, recorded, numbers)
+            targets[name] += [
+                {"scene_id": number, "im_id": 0, "obj_id": numbers[PART, row["part_id"]], "inst_count": 1}
+                for row in recorded.truth.parts
+                if row["unseen"] is None
+            ]
         _write_models(out, dataset, {key: numbers[key] for key in sorted(used)})
         assert camera is not None  # there is at least one scene
         _write_tables(out, camera, targets)
@@ -125,9 +138,11 @@ def _write_scene(
         for name, mask in (("mask", outline.distance > 0), ("mask_visib", visible)):
             _write(folder / name / f"{IMAGE}_{i:06d}.png", png_bytes(mask.astype(np.uint8) * np.uint8(255)))
     _write(folder / "depth" / f"{IMAGE}.png", png_bytes(steps))
-    _write_json(folder / "scene_camera.json", _camera_entry(view.camera, world_from_camera.inverse()))
-    _write_json(folder / "scene_gt.json", [_gt_entry(placed_object) for placed_object in placed])
-    _write_json(folder / "scene_gt_info.json", infos)
+    camera = {"cam_K": view.camera.K.reshape(-1).tolist(), "depth_scale": DEPTH_SCALE}
+    camera |= _pose_entry(world_from_camera.inverse(), "w2c")
+    truths = [{"obj_id": each.number} | _pose_entry(each.camera_from_body, "m2c") for each in placed]
+    for name, entry in (("camera", camera), ("gt", truths), ("gt_info", infos)):
+        _write(folder / f"scene_{name}.json", json_bytes({"0": entry}))  # of the only image, 0
     return view.camera
 
 
@@ -157,24 +172,15 @@ def distances(camera: Camera, depth: np.ndarray) -> np.ndarray:
 
 def silhouette(camera: Camera, mesh: Mesh, camera_from_body: Pose) -> Silhouette:
     """The silhouette of one object. Only its window of the image is rendered."""
-    left, top, right, bottom = _window(camera, camera_from_body.apply(mesh.vertices))
-    window = Camera(right - left, bottom - top, camera.fx, camera.fy, camera.cx - left, camera.cy - top)
+    size = np.array((camera.width, camera.height))
+    left, top, window = camera.window(camera_from_body.apply(mesh.vertices), -size, 2 * size, margin=1)
     frame = render(window, Pose.identity(), [(mesh, camera_from_body)], threads=1)
     v, u = np.nonzero(frame.body_ids)
+    pixels = np.stack([u + left, v + top], axis=-1)
+    within = ((pixels >= 0) & (pixels < size)).all(axis=1)
     depth = np.zeros((camera.height, camera.width))
-    within = (u + left >= 0) & (u + left < camera.width) & (v + top >= 0) & (v + top < camera.height)
-    depth[v[within] + top, u[within] + left] = frame.depth[v[within], u[within]]
-    return Silhouette(distances(camera, MM * depth), np.stack([u + left, v + top], axis=-1))
-
-
-def _window(camera: Camera, points: np.ndarray) -> tuple[int, int, int, int]:
-    """Left, top, right and bottom (exclusive) pixel of points (n, 3) [m], clipped to three times the image."""
-    least, most = np.array([-camera.width, -camera.height]), np.array([2 * camera.width, 2 * camera.height])
-    if points[:, 2].min() > 1e-3:  # else some are behind the camera and have no projection
-        pixels = camera.project(points)
-        low, high = np.floor(pixels.min(0)) - 1, np.ceil(pixels.max(0)) + 2
-        least, most = np.clip(low, least, most - 1), np.clip(high, least + 1, most)
-    return int(least[0]), int(least[1]), int(max(most[0], least[0] + 1)), int(max(most[1], least[1] + 1))
+    depth[pixels[within, 1], pixels[within, 0]] = frame.depth[v[within], u[within]]
+    return Silhouette(distances(camera, MM * depth), pixels)
 
 
 def visible_pixels(distance: np.ndarray, measured: np.ndarray) -> np.ndarray:
@@ -202,33 +208,9 @@ def _box(pixels: np.ndarray) -> list[int]:
     return [*low.tolist(), *(high - low).tolist()]
 
 
-def _camera_entry(camera: Camera, camera_from_world: Pose) -> dict[str, Any]:
-    rotation, translation = _bop_pose(camera_from_world)
-    return {
-        "cam_K": camera.K.reshape(-1).tolist(),
-        "depth_scale": DEPTH_SCALE,
-        "cam_R_w2c": rotation,
-        "cam_t_w2c": translation,
-    }
-
-
-def _gt_entry(placed_object: PlacedObject) -> dict[str, Any]:
-    rotation, translation = _bop_pose(placed_object.camera_from_body)
-    return {"obj_id": placed_object.number, "cam_R_m2c": rotation, "cam_t_m2c": translation}
-
-
-def _bop_pose(pose: Pose) -> tuple[list[float], list[float]]:
-    """A pose as nine numbers of the rotation matrix, row by row, and three of the translation [mm]."""
-    return pose.rotation_matrix().reshape(-1).tolist(), (MM * pose.xyz).tolist()
-
-
-def _targets(number: int, recorded: RecordedScene, numbers: dict[tuple[str, str], int]) -> list[dict[str, int]]:
-    """The targets of a scene: the parts with queries."""
-    return [
-        {"scene_id": number, "im_id": 0, "obj_id": numbers[PART, row["part_id"]], "inst_count": 1}
-        for row in recorded.truth.parts
-        if row["unseen"] is None
-    ]
+def _pose_entry(pose: Pose, name: str) -> dict[str, list[float]]:
+    """A pose, by its name in BOP: nine numbers of the rotation matrix, row by row, and three of the position [mm]."""
+    return {f"cam_R_{name}": pose.rotation_matrix().reshape(-1).tolist(), f"cam_t_{name}": (MM * pose.xyz).tolist()}
 
 
 def _write_models(out: Path, dataset: Dataset, used: dict[tuple[str, str], int]) -> None:
@@ -281,9 +263,65 @@ def _dataset_info(
     }
 
 
-def _write_json(path: Path, entry: Any) -> None:
-    """Write a table of a scene, whose only image is 0."""
-    _write(path, json_bytes({"0": entry}))
+def object_numbers(geometry: Geometry) -> dict[tuple[str, str], int]:
+    """The BOP number of every object of a dataset by kind and id, also of objects that are not exported.
+
+    Numbers follow the splits, in each the parts before the assemblies: without a withheld test split they are the same.
+    """
+    numbers: dict[tuple[str, str], int] = {}
+    for split in SPLITS:
+        for kind, table in KINDS.items():
+            rows = getattr(geometry, table)
+            for item_id in sorted(i for i, row in rows.items() if row["split"] == split):
+                numbers[kind, item_id] = len(numbers) + 1
+    return numbers
+
+
+def model_info(mesh: Mesh, symmetry: Symmetry) -> dict[str, Any]:
+    """The entry of a model in `models_info.json`, in millimetres; symmetries rotate about the origin."""
+    low, size = MM * mesh.bounds[0], MM * mesh.extents
+    info: dict[str, Any] = {"diameter": MM * diameter(mesh)}
+    info |= {f"min_{axis}": float(low[i]) for i, axis in enumerate("xyz")}
+    info |= {f"size_{axis}": float(size[i]) for i, axis in enumerate("xyz")}
+    if symmetry.order > 1:  # without the identity, which is first
+        rotations = Pose(symmetry.rotations[1:], np.zeros(3)).matrix()
+        info["symmetries_discrete"] = rotations.reshape(-1, 16).tolist()
+    if symmetry.axis is not None:
+        info["symmetries_continuous"] = [{"axis": symmetry.axis.tolist(), "offset": [0.0, 0.0, 0.0]}]
+    return info
+
+
+def diameter(mesh: Mesh) -> float:
+    """The largest distance [m] between two vertices, found among those of the convex hull."""
+    corners = mesh.vertices[ConvexHull(mesh.vertices).vertices]
+    return float(pdist(corners).max())
+
+
+def ply_bytes(mesh: Mesh) -> bytes:
+    """A mesh as ASCII PLY in millimetres with vertex normals."""
+    rows = np.hstack([MM * mesh.vertices, vertex_normals(mesh)]).tolist()
+    properties = [f"property float {name}" for name in ("x", "y", "z", "nx", "ny", "nz")]
+    lines = [
+        "ply",
+        "format ascii 1.0",
+        "comment KIT1000, millimetres",
+        f"element vertex {len(mesh.vertices)}",
+        *properties,
+        f"element face {len(mesh.faces)}",
+        "property list uchar int vertex_indices",
+        "end_header",
+        *(f"{x!r} {y!r} {z!r} {a:.6f} {b:.6f} {c:.6f}" for x, y, z, a, b, c in rows),
+        *(f"3 {a} {b} {c}" for a, b, c in mesh.faces.tolist()),
+    ]
+    return ("\n".join(lines) + "\n").encode("ascii")
+
+
+def vertex_normals(mesh: Mesh) -> np.ndarray:
+    """(n, 3) unit normals of the vertices: means of the adjacent face normals, weighted by angle; zero if undefined."""
+    sums = np.zeros_like(mesh.vertices)
+    np.add.at(sums, mesh.faces, corner_angles(mesh.triangles)[..., None] * mesh.normals[:, None])
+    lengths = np.linalg.norm(sums, axis=1, keepdims=True)
+    return np.divide(sums, lengths, out=np.zeros_like(sums), where=lengths > 1e-9)
 
 
 def _write(path: Path, data: bytes) -> None:

@@ -46,7 +46,7 @@ def _corner_normals(mesh: Mesh, corner: np.ndarray, patches: np.ndarray, planes:
     """(m, 3, 3): mean normal per vertex and patch; weights are the area of a face's plane and its corner angle."""
     cross = np.cross(mesh.triangles[:, 1] - mesh.triangles[:, 0], mesh.triangles[:, 2] - mesh.triangles[:, 0])
     area = np.bincount(planes, np.linalg.norm(cross, axis=1))[planes]
-    weighed = (area[:, None] * _corner_angles(mesh.triangles))[..., None] * mesh.normals[:, None]
+    weighed = (area[:, None] * corner_angles(mesh.triangles))[..., None] * mesh.normals[:, None]
     key = corner.astype(np.int64) * (patches.max(initial=0) + 1) + patches[:, None]
     place = np.unique(key, return_inverse=True)[1].reshape(-1)
     sums = np.stack([np.bincount(place, weighed[..., i].ravel()) for i in range(3)], axis=1)
@@ -55,7 +55,7 @@ def _corner_normals(mesh: Mesh, corner: np.ndarray, patches: np.ndarray, planes:
     return np.where((unit == 0).all(axis=2, keepdims=True), mesh.normals[:, None], unit)
 
 
-def _corner_angles(triangles: np.ndarray) -> np.ndarray:
+def corner_angles(triangles: np.ndarray) -> np.ndarray:
     """(m, 3) [rad]: the angle of each triangle at each of its corners."""
     forward = np.roll(triangles, -1, axis=1) - triangles
     backward = np.roll(triangles, 1, axis=1) - triangles

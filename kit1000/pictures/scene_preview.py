@@ -10,7 +10,6 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from kit1000.camera import Camera
 from kit1000.dataset.scene_data import PREVIEW_STEP, Observation, SceneTruth
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh
@@ -67,7 +66,10 @@ def with_goals(picture: np.ndarray, view: View, mesh: Mesh, world_from_parts: Po
     `view` is that of the picture. (H, W, 3) uint8 sRGB.
     """
     goals = picture.copy()
-    top, left, camera = _window_of_mesh(view, mesh, world_from_parts)
+    camera_from_parts = [view.world_from_camera.inverse() @ pose for pose in world_from_parts]
+    corners = np.concatenate([pose.apply(mesh.vertices) for pose in camera_from_parts])
+    size = (view.camera.width, view.camera.height)
+    left, top, camera = view.camera.window(corners, (0, 0), size, MARGIN, PREVIEW_STEP)
     inside, outlines = np.zeros((2, camera.height, camera.width), bool)
     for world_from_part in world_from_parts:
         shown = render(camera, view.world_from_camera, [(mesh, world_from_part)], threads=1).body_ids > 0
@@ -115,17 +117,3 @@ def _blend(picture: np.ndarray, mask: np.ndarray, colour: Colour, percent: int) 
     share, whole = percent * cells.sum((1, 3))[..., None], 100 * PREVIEW_STEP**2
     mixed = picture[:height, :width].astype(np.int64) * (whole - share) + np.array(colour) * share
     picture[:height, :width] = (mixed + whole // 2) // whole
-
-
-def _window_of_mesh(view: View, mesh: Mesh, world_from_parts: Pose) -> tuple[int, int, Camera]:
-    """Where in an image a mesh shows at some poses: first row and column [px], and a camera of this part alone."""
-    camera, camera_from_world = view.camera, view.world_from_camera.inverse()
-    seen = np.concatenate([(camera_from_world @ pose).apply(mesh.vertices) for pose in world_from_parts])
-    size = np.array((camera.width, camera.height))
-    first, last = np.zeros(2), size
-    if (seen[:, 2] > 0).all():
-        uv = camera.project(seen)
-        first = np.clip(np.floor(uv.min(0)) - MARGIN, 0, size - PREVIEW_STEP) // PREVIEW_STEP * PREVIEW_STEP
-        last = np.clip(np.ceil(uv.max(0)) + MARGIN, first + PREVIEW_STEP, size)
-    (left, top), (width, height) = first.astype(int).tolist(), (last - first).astype(int).tolist()
-    return top, left, Camera(width, height, camera.fx, camera.fy, camera.cx - left, camera.cy - top)

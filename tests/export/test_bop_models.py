@@ -12,7 +12,7 @@ from manifold3d import Manifold
 from scipy.spatial.distance import pdist
 
 from kit1000.dataset.geometry import Geometry
-from kit1000.export.bop_models import diameter, model_info, object_numbers, ply_bytes, vertex_normals
+from kit1000.export.bop import diameter, model_info, object_numbers, ply_bytes, vertex_normals
 from kit1000.mesh import mesh_from_solid
 from kit1000.pose import Pose
 from kit1000.symmetry import Symmetry
