@@ -24,6 +24,7 @@ METHOD_TABLES = (
     "baselines.icp",
     "baselines.kitnet",
     *catalog.TABLES,
+    "baselines.registration_three",
     "baselines.snapnet",
     "baselines.transporter",
 )

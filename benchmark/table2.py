@@ -26,7 +26,7 @@ from kit1000.files import read_json, write_own
 from kit1000.metrics import Targets, pose_errors, seatings
 from kit1000.metrics.pose_errors import nearest_goal_motions
 from kit1000.metrics.seating import GeometrySource
-from kit1000.perception.sensor_facts import AnySensor, sensor_of
+from kit1000.perception.sensor_facts import SensorFacts, sensor_of
 from kit1000.planner.execute import NO_SEAL, NOT_FROM_ABOVE, SEATED, PartRun, run_scene
 from kit1000.planner.runs import outcome_counts
 from kit1000.pose import Pose
@@ -38,7 +38,7 @@ from kit1000.submission.predictions import FILE, read_predictions
 from kit1000.values import Query, Truth
 
 FIND_MASKS = "kit1000.perception.segmentation.predicted_masks:with_predicted_masks"  # by name: it loads networks
-MaskFinder = Callable[[Query, float, AnySensor], Query]
+MaskFinder = Callable[[Query, float, SensorFacts], Query]
 """Called with a query, the scale of the dataset's scenes and the sensor: the query with masks from its image alone."""
 TRUTH = "truth"  # label of the row with the true motions
 COMPONENT_KEYS = {"component", "label", "measure", "value", "interval", "n"}

@@ -10,14 +10,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from baselines.heights.maps import HeightMap
+from baselines.heights.scene_heights import RenderedHeights
+from baselines.heights.shell import shell_points
 from baselines.kitnet.config import KITNET, KitNetConfig
 from baselines.kitnet.network import KitNet, rotation_error, rotation_loss
 from baselines.kitnet.views import CavityView, cavity_image, cavity_view, part_image
 from baselines.training.tasks.goal_draws import GoalQuery, QueryDraws
 from kit1000.dataset.reader import Dataset
-from kit1000.perception.heights.maps import HeightMap
-from kit1000.perception.heights.scene_heights import RenderedHeights
-from kit1000.perception.heights.shell import shell_points
 from kit1000.perception.observed.plates import Plane
 from kit1000.pose import Pose
 from kit1000.rng import stream

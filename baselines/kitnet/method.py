@@ -9,17 +9,17 @@ from typing import Literal
 import numpy as np
 import torch
 
+from baselines.heights.maps import cell_centres, envelopes, extent
+from baselines.heights.scene_heights import RecordedHeights, SceneHeights
 from baselines.kitnet.config import KitNetConfig
 from baselines.kitnet.examples import points_of, rotation_of
 from baselines.kitnet.network import KitNet
 from baselines.kitnet.views import CAVITY, CELL, CavityView, cavity_image, cavity_view, part_image
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
-from kit1000.perception.heights.maps import cell_centres, envelopes, extent
-from kit1000.perception.heights.scene_heights import RecordedHeights, SceneHeights
 from kit1000.perception.networks.loading import ready
 from kit1000.perception.observed.kits import ObservedKits
-from kit1000.perception.observed.pixels import noise_of
+from kit1000.perception.sensor_facts import simulated_sensor
 from kit1000.pose import Pose
 from kit1000.predictor import PredictedMotion
 from kit1000.values import Query, TrueGeometry
@@ -113,7 +113,7 @@ def _first_rotation(query: Query, cavity: CavityView) -> Pose:
 
 def observed_cavities(query: Query, heights: SceneHeights) -> list[CavityView]:
     """The cavities of the plates that the query's image shows."""
-    plates = ObservedKits(query.image, noise_of(query.sensor), query.scene_id).plates
+    plates = ObservedKits(query.image, simulated_sensor(query.sensor).kind.noise, query.scene_id).plates
     views = (cavity_view(heights.kits, plate) for plate in plates)
     return [view for view in views if view is not None]
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import binary_closing, binary_fill_holes, label
 
+from baselines.heights.maps import HeightMap, cell_centres, envelopes, extent
 from kit1000.numerics.compiled import compiled
-from kit1000.perception.heights.maps import HeightMap, cell_centres, envelopes, extent
 from kit1000.perception.observed.plates import Plane, plane_frame
 from kit1000.pose import Pose
 

@@ -26,8 +26,9 @@ from kit1000.perception.completion.kits.completed import ReliefCompleter
 from kit1000.perception.completion.parts.completed import CompletedPart, PartCompleter
 from kit1000.perception.observed.kits import ObservedKits
 from kit1000.perception.observed.parts import TABLE_MARGIN, ObservedPart
-from kit1000.perception.observed.pixels import cropped, noise_of
+from kit1000.perception.observed.pixels import cropped
 from kit1000.perception.restoration import restored
+from kit1000.perception.sensor_facts import simulated_sensor
 from kit1000.pose import Pose
 from kit1000.queries.pivots import extent_centre
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, Query, TrueGeometry
@@ -89,7 +90,9 @@ class ImageCache:
         key = (query.scene_id, query.sensor)
 
         def make() -> ImageCrops:
-            return image_crops(restored(self._read_image(query), query.sensor), query, self._kit_completer)
+            return image_crops(
+                restored(self._read_image(query), simulated_sensor(query.sensor)), query, self._kit_completer
+            )
 
         return _cached(self.crops, key, SCENES, make)
 
@@ -215,7 +218,9 @@ def image_crops(image: LabelledDepth, query: Query, completer: ReliefCompleter |
     kits, parts = None, {}
     for label, box in enumerate(find_objects(image.labels), start=1):
         if box is not None and label == ASSEMBLY_LABEL:
-            kits = ObservedKits(cropped(image, box), noise_of(query.sensor), query.scene_id, completer=completer)
+            kits = ObservedKits(
+                cropped(image, box), simulated_sensor(query.sensor).kind.noise, query.scene_id, completer=completer
+            )
         elif box is not None:
             parts[label - FIRST_PART_LABEL] = cropped(image, _with_margin(box, image, label))
     return ImageCrops(kits, parts)

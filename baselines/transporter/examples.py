@@ -12,6 +12,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from baselines.heights.scene_heights import RenderedHeights
+from baselines.heights.shell import shell_points
 from baselines.training.tasks.goal_draws import GoalQuery, QueryDraws
 from baselines.training.tasks.split_queries import TRACK_OF, Guesses
 from baselines.transporter.config import TRANSPORTER, YAW_STEP, YAWS, TransporterConfig
@@ -20,8 +22,6 @@ from baselines.transporter.lattice import lattice_of, rotation_from, spread_cell
 from baselines.transporter.network import UNITS, TransporterNet
 from baselines.transporter.search import search
 from kit1000.dataset.reader import Dataset
-from kit1000.perception.heights.scene_heights import RenderedHeights
-from kit1000.perception.heights.shell import shell_points
 from kit1000.pose import Pose
 from kit1000.queries.guesses import MAX_ANGLE, MAX_OFFSET
 from kit1000.values import Query

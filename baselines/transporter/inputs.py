@@ -13,9 +13,9 @@ from math import ceil
 import numpy as np
 from scipy.ndimage import uniform_filter
 
+from baselines.heights.maps import UNSEEN, HeightMap, cell_centres, envelopes
+from baselines.heights.scene_heights import SceneHeights
 from baselines.transporter.config import TransporterConfig
-from kit1000.perception.heights.maps import UNSEEN, HeightMap, cell_centres, envelopes
-from kit1000.perception.heights.scene_heights import SceneHeights
 from kit1000.pose import Pose
 from kit1000.queries.guesses import MAX_OFFSET
 

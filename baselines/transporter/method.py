@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from baselines.heights.scene_heights import RecordedHeights
+from baselines.heights.shell import shell_points
 from baselines.transporter.config import TransporterConfig
 from baselines.transporter.examples import searched_yaws
 from baselines.transporter.inputs import search_inputs, start_of
@@ -14,8 +16,6 @@ from baselines.transporter.lattice import rotation_from
 from baselines.transporter.network import TransporterNet
 from baselines.transporter.search import search
 from kit1000.dataset.reader import Dataset
-from kit1000.perception.heights.scene_heights import RecordedHeights
-from kit1000.perception.heights.shell import shell_points
 from kit1000.perception.networks.loading import ready
 from kit1000.pose import Pose
 from kit1000.predictor import PredictedMotion

@@ -28,8 +28,8 @@ from kit1000.metrics.volumes import occupancy_iou, surface_chamfer
 from kit1000.perception.completion.parts.completed import CompletedPart, PartCompleter
 from kit1000.perception.observed.kits import ObservedKits
 from kit1000.perception.observed.parts import ObservedPart
-from kit1000.perception.observed.pixels import noise_of
 from kit1000.perception.restoration import calibrated_image, restored
+from kit1000.perception.sensor_facts import simulated_sensor
 from kit1000.registration import METHODS
 from kit1000.values import FIRST_PART_LABEL, Query, Truth
 from kit1000.voxels import Volume, signed_distance, surface_points
@@ -131,7 +131,7 @@ def _part_by(completer: PartCompleter) -> Callable[[Dataset, Query, Truth], Meas
     """A function that completes the part of a query by columns and by a network."""
 
     def measured(dataset: Dataset, query: Query, truth: Truth) -> Measured:
-        image = calibrated_image(query.image, query.sensor)
+        image = calibrated_image(query.image, simulated_sensor(query.sensor))
         observed = ObservedPart(image, FIRST_PART_LABEL + query.part, query.pivot)
         completed = CompletedPart(observed, completer, None if query.sensor == "ideal" else image)
         seconds, _ = timed(lambda: completed.logits, process_time)
@@ -150,7 +150,8 @@ def _kit(dataset: Dataset, query: Query, truth: Truth) -> Measured:
     """The kit of a query completed by columns along the normal of its plate, and the true kit without its cavity."""
     extent = dataset.geometry.kit(truth.part_id).extent
     half_width = float(extent[:2].max() / 2)
-    kits = ObservedKits(restored(query.image, query.sensor), noise_of(query.sensor), query.scene_id, half_width)
+    facts = simulated_sensor(query.sensor)
+    kits = ObservedKits(restored(query.image, facts), facts.kind.noise, query.scene_id, half_width)
     columns = kits.columns(truth.world_from_kit.apply(np.array([0, 0, -extent[2] / 2])), KIT_VOXEL)
     filled, hidden = columns.filled(largest_only=False), np.isnan(columns.distance[::2, ::2])
     true = dataset.geometry.true_geometry(truth)

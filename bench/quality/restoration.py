@@ -18,7 +18,7 @@ import torch
 import tyro
 
 from baselines.training.tasks.restoration.task import beside_jumps
-from baselines.training.tasks.restoration.views import SENSOR, example_of
+from baselines.training.tasks.restoration.views import FACTS, SENSOR, example_of
 from bench.measured import measured_dataset, run, spread, timed
 from benchmark.measurements import Column, Measurement, Table, estimate
 from kit1000.dataset.reader import RecordedScene
@@ -93,11 +93,11 @@ def _add(table: Table, place: str, rows: list[Errors]) -> None:
 
 def _measured(scene: RecordedScene, restorer: Restorer) -> tuple[dict[str, Errors], float]:
     """The errors in those of the PLACES that a scene has, and the seconds of the network."""
-    image = calibrated_image(scene.labelled_depth(SENSOR), SENSOR)
+    image = calibrated_image(scene.labelled_depth(SENSOR), FACTS)
     truth = scene.labelled_depth("ideal").view.depth
     labels = np.unique(image.labels[image.labels > 0]).tolist()
-    seconds, network = timed(lambda: restorer(image, SENSOR, labels), process_time)
-    ways = [found.view.depth for found in (closed_gaps(image), restored_edges(image, SENSOR), network)]
+    seconds, network = timed(lambda: restorer(image, FACTS, labels), process_time)
+    ways = [found.view.depth for found in (closed_gaps(image), restored_edges(image, FACTS), network)]
     known = np.all([depth > 0 for depth in ways], axis=0)
     beside = beside_jumps(torch.from_numpy(example_of(image, truth)["truth"])[None])[0].numpy()
     bodies = (image.labels == ASSEMBLY_LABEL, image.labels >= FIRST_PART_LABEL)

@@ -23,6 +23,7 @@ from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.metrics.segmentation import matched_masks
 from kit1000.perception.segmentation.instances import segmented
 from kit1000.perception.segmentation.predicted_masks import mask_networks
+from kit1000.perception.sensor_facts import simulated_sensor
 
 Networks = Literal["none", "restoration", "both"]
 NETWORKS: tuple[Networks, ...] = ("none", "restoration", "both")
@@ -107,7 +108,7 @@ def _measured(dataset: Dataset, options: Segmentation, sensor: str, networks: Ne
     def masks_of(scene: RecordedScene) -> Masks:
         image = scene.labelled_depth(sensor)
         start = process_time()
-        found = segmented(image.view, sensor, scale, restorer, finder)
+        found = segmented(image.view, simulated_sensor(sensor), scale, restorer, finder)
         seconds = process_time() - start
         iou = matched_masks(found, image.labels).iou
         crowded = any(truth.crowded for truth in scene.truths.values())

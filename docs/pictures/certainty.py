@@ -17,11 +17,10 @@ from scipy.ndimage import distance_transform_edt
 from kit1000.dataset.reader import Dataset
 from kit1000.pictures.shading import contact_sheet
 from kit1000.pose import Pose, unit_vector
-from kit1000.registration.choice.fits import Fit
-from kit1000.registration.geometry.observed_cavity import VOXEL, Cavity, cells_at
-from kit1000.registration.inputs.volume_sources import DepthSource
-from kit1000.registration.method import Registration
-from kit1000.registration.search.contradictions import INSIDE, TOLERANCE, KitHeights, contradictions
+from kit1000.registration.contradictions import INSIDE, TOLERANCE, KitHeights, contradictions
+from kit1000.registration.geometry.cavity import VOXEL, Cavity, cells_at
+from kit1000.registration.predictor import Registration
+from kit1000.registration.rank import Fit
 from kit1000.values import Query
 from kit1000.voxels import Grid, Volume, resample
 
@@ -41,7 +40,7 @@ def main(folder: Path) -> None:
     pictures, names = [], []
     for scene, name in CASES:
         query = next(query for query in split.scene(scene).queries if query.id == name)
-        for source, words in (("columns", "filled part"), ("depth", "certain evidence")):
+        for source, words in (("columns", "filled part"), ("depth", "certain bounds")):
             picture, contradicted = draw(dataset, query, Registration(dataset, source).fits(query)[0])
             pictures.append(picture)
             names.append(f"by the {words}: {1e3 * contradicted:.2f} mm")
@@ -50,22 +49,23 @@ def main(folder: Path) -> None:
 
 def draw(dataset: Dataset, query: Query, fit: Fit) -> tuple[np.ndarray, float]:
     """(h, w, 3) uint8 of the cut through a fit, and how far it contradicts the image [m]."""
-    source, clearance = DepthSource(query), dataset.summary["config"]["clearance"]
+    ((part, _),) = Registration(dataset).scene(query).parts(query)
+    clearance = dataset.summary["config"]["clearance"]
     cavity, pose = fit.candidate.cavity, fit.candidate.plate_from_now
     kit = KitHeights.of(cavity, clearance)
-    evidence, seen = source.evidence, source.part_points
-    across = cavity.world_from_plate.inverse().rotate(source.middle - query.image.view.world_from_camera.xyz)
-    slice_grid = _slice(pose.apply(source.middle), across)
+    bounds = part.bounds
+    across = cavity.world_from_plate.inverse().rotate(part.middle - query.image.view.world_from_camera.xyz)
+    slice_grid = _slice(pose.apply(part.middle), across)
     points = slice_grid.world(np.argwhere(np.ones(slice_grid.shape, bool))).reshape(*slice_grid.shape[::2], 3)
     material, hidden = _kit(cavity, points)
     in_world = Grid(slice_grid.shape, PIXEL, pose.inverse() @ slice_grid.world_from_grid)
-    solid, possible = (_inside(volume, in_world) for volume in (evidence.surely_solid, evidence.possible))
+    solid, possible = (_inside(volume, in_world) for volume in (bounds.sure, bounds.possible))
     picture = np.full((*points.shape[:2], 3), OPEN, np.uint8)
     for where, colour in ((hidden, HIDDEN), (material, MATERIAL), (possible & ~material, UNKNOWN), (solid, SOLID)):
         picture[where] = colour
     picture[solid & ~_grown(~material)] = WRONG
     picture[_must_fill(kit, points, _grown(possible))] = WRONG
-    score = contradictions(evidence, seen, kit, pose).score
+    score = contradictions(part, kit, pose).cost
     return np.ascontiguousarray(picture.transpose(1, 0, 2)[::-1]), score
 
 
@@ -80,7 +80,7 @@ def _slice(middle: np.ndarray, across: np.ndarray) -> Grid:
 
 def _kit(cavity: Cavity, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(w, h) bool each of points (w, h, 3) [m] in the plate frame: certain material of the kit, and not known."""
-    relief, free = (_at(image, points) for image in (cavity.certain_relief, cavity.certain_free))
+    relief, free = (_at(image, points) for image in (cavity.certain_heights, cavity.certain_free))
     heights, known = points[..., 2], ~np.isnan(relief)
     return known & (heights < relief), ~known & (heights < free)
 

@@ -16,8 +16,8 @@ from PIL import Image
 
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.perception.completion.kits.completed import ReliefCompleter, filled_by_columns
+from kit1000.perception.image_kinds import IDEAL
 from kit1000.perception.observed.kits import ObservedKits
-from kit1000.perception.observed.pixels import IDEAL
 from kit1000.perception.observed.relief import DEEPEST, true_depths
 from kit1000.weights import WEIGHTS
 
@@ -46,7 +46,7 @@ def main(data: Path) -> None:
 
 def _case(dataset: Dataset, completer: ReliefCompleter, scene: RecordedScene) -> tuple[float, str, Row]:
     image, body = scene.labelled_depth("ideal"), scene.scene.bodies[0]
-    kits = ObservedKits(image, IDEAL, scene.id, completer=completer)
+    kits = ObservedKits(image, IDEAL.noise, scene.id, completer=completer)
     relief = kits.relief(kits.plates[0].point)
     assert relief is not None, "some plate is seen in every scene"
     truth = true_depths(dataset.geometry.assembly(body.id).mesh, body.world_from_body, relief.shown.world_from_plate)

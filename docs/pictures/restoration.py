@@ -17,7 +17,7 @@ from kit_completion import joined
 from PIL import Image
 
 from baselines.training.tasks.restoration.task import beside_jumps
-from baselines.training.tasks.restoration.views import SENSOR, box_about, example_of
+from baselines.training.tasks.restoration.views import FACTS, SENSOR, box_about, example_of
 from kit1000.dataset.reader import Dataset, RecordedScene, Split
 from kit1000.perception.restoration.restorer import Restorer
 from kit1000.perception.restoration.rules import calibrated_image, closed_gaps, restored_edges
@@ -48,7 +48,7 @@ def main(data: Path) -> None:
 
 def _case(split: Split, scene: RecordedScene, restorer: Restorer) -> Case:
     """The error of the network beside edges [mm], the scene, and the four pictures."""
-    image = calibrated_image(scene.labelled_depth(SENSOR), SENSOR)
+    image = calibrated_image(scene.labelled_depth(SENSOR), FACTS)
     exact = scene.labelled_depth("ideal").view
     target = next(query for query in scene.queries if query.drawn)
     world_from_kit = scene.truth_of(target.id).world_from_kit
@@ -57,11 +57,11 @@ def _case(split: Split, scene: RecordedScene, restorer: Restorer) -> Case:
         np.rint(camera.project(exact.world_from_camera.inverse().apply(world_from_kit.xyz))).astype(int).tolist()
     )
     box = box_about(row, column)
-    network = restorer(image, SENSOR, [ASSEMBLY_LABEL]).view
+    network = restorer(image, FACTS, [ASSEMBLY_LABEL]).view
     beside = beside_jumps(torch.from_numpy(example_of(image, exact.depth)["truth"])[None])[0].numpy()[box]
     kits = (image.labels == ASSEMBLY_LABEL)[box]
     wrong = 1e3 * np.abs(network.depth - exact.depth)[box][beside & kits]
-    views = [closed_gaps(image).view, restored_edges(image, SENSOR).view, network, exact]
+    views = [closed_gaps(image).view, restored_edges(image, FACTS).view, network, exact]
     pictures = [np.where(kits, _grey(view, world_from_kit)[box], 1.0) for view in views]
     return float(wrong.mean()) if len(wrong) else 0.0, scene.id, pictures
 

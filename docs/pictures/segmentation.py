@@ -15,7 +15,7 @@ import numpy as np
 from kit_completion import joined
 from PIL import Image
 
-from baselines.training.tasks.restoration.views import SENSOR
+from baselines.training.tasks.restoration.views import FACTS, SENSOR
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.metrics.segmentation import matched_masks
 from kit1000.perception.segmentation.bodies import find_bodies
@@ -59,8 +59,8 @@ def main(data: Path) -> None:
 def _case(scene: RecordedScene) -> Case:
     """The mean IoU of the parts of a scene, its id, and the pictures."""
     image, (restorer, finder) = scene.labelled_depth(SENSOR), mask_networks()
-    rules, network = (segmented(image.view, SENSOR, 1.0, restorer, each) for each in (None, finder))
-    bodies = find_bodies(image.view, SENSOR, restorer)
+    rules, network = (segmented(image.view, FACTS, 1.0, restorer, each) for each in (None, finder))
+    bodies = find_bodies(image.view, FACTS, restorer)
     rows, columns = np.nonzero(image.labels >= FIRST_PART_LABEL)
     tall, broad = (
         slice(start, start + size)

@@ -13,7 +13,7 @@ from kit1000.capture.seen_bodies import SeenBody, measured_body
 from kit1000.capture.table_search import Table, convex_outline
 from kit1000.perception.segmentation.bodies import find_bodies
 from kit1000.perception.segmentation.instances import segmented
-from kit1000.perception.sensor_facts import SensorFacts, needs_restoring
+from kit1000.perception.sensor_facts import SensorFacts
 from kit1000.values import ASSEMBLY_LABEL, View
 
 AGREED = 0.5  # least share of a body that the network sees as body too
@@ -63,7 +63,7 @@ def cut_back(
 
 def _found(view: View, facts: SensorFacts) -> Found:
     """What networks see; of a scanner, whose images none restores, what rules see."""
-    if not needs_restoring(facts):
+    if not facts.kind.restores:
         labels = segmented(view, facts)
         return Found(labels > 0, np.maximum(labels.astype(int) - ASSEMBLY_LABEL, 0))
     from kit1000.perception.segmentation.predicted_masks import mask_networks

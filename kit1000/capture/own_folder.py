@@ -15,7 +15,7 @@ from kit1000.dataset.own_scenes import OWN, PLACES, TABLES
 from kit1000.dataset.scene_data import SCENES_PER_SHARD, Observation
 from kit1000.errors import InputError
 from kit1000.files import json_bytes, new_folder, with_checksum, write_bytes, write_json
-from kit1000.perception.sensor_facts import KEY, key_of
+from kit1000.perception.sensor_facts import KEY
 from kit1000.pictures.scene_preview import scene_picture
 from kit1000.queries.pivots import part_pivots
 from kit1000.queries.tracks import query_id
@@ -45,7 +45,7 @@ def write_own_folder(
     Raises:
         InputError: the folder exists or cannot be written, or a scene has no part.
     """
-    sensor = key_of(scenes[0].facts)
+    sensor = scenes[0].facts.kind.name
     observations = [_observation(f"test-s{number:04d}", scene, sensor) for number, scene in enumerate(scenes)]
     with new_folder(folder, "scene") as partial:
         files, shards = {}, {}
@@ -106,7 +106,7 @@ def _summary_bytes(
 ) -> bytes:
     """The bytes of dataset.json, with a checksum of its other entries, as generated datasets have it."""
     facts = scenes[0].facts
-    config = {"curve_scenes": 0, "frames": 1, "scale": 1.0, "tracks": tracks_of(key_of(facts))}
+    config = {"curve_scenes": 0, "frames": 1, "scale": 1.0, "tracks": tracks_of(facts.kind.name)}
     config |= {} if clearance is None else {"clearance": clearance}
     scene_ids = [scene_id for some in shards.values() for scene_id in some]
     outlines = [scene.outline.round(4).tolist() for scene in scenes]
@@ -125,7 +125,7 @@ def _summary_bytes(
         "refused": {},
         "refused_scenes": {},
         "seed": None,
-        KEY: {key_of(facts): facts.as_row()},
+        KEY: {facts.kind.name: facts.as_row()},
         "shards": shards,
         TABLES: dict(zip(scene_ids, outlines, strict=True)),
         **({PLACES: [scene_ids]} if one_scene else {}),

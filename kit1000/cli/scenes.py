@@ -173,9 +173,9 @@ def _chosen_scene(dataset: Dataset, scene: str | None, sensor: str | None) -> tu
 def _default_method(dataset: Dataset, scene: str, sensor: str) -> str:
     """The default method: for an own camera the one with networks for its noise, if torch is installed."""
     from kit1000.capture.mask_networks import networks_available
-    from kit1000.perception.sensor_facts import SensorFacts, sensor_of
+    from kit1000.perception.sensor_facts import sensor_of
 
-    own = isinstance(sensor_of(dataset.summary, sensor, scene), SensorFacts)
+    own = not sensor_of(dataset.summary, sensor, scene).simulated_table
     return "registration-completed" if own and networks_available() else SNAP
 
 

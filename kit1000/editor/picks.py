@@ -18,7 +18,8 @@ from kit1000.editor.seen_plates import TABLE
 from kit1000.editor.session import Session
 from kit1000.kits.seating import UP
 from kit1000.numerics.linear_algebra import length, matmul
-from kit1000.planner.grasp import SEEN_FLATNESS, best_grasp
+from kit1000.perception.sensor_facts import simulated_sensor
+from kit1000.planner.grasp import best_grasp
 from kit1000.pose import Pose
 from kit1000.queries.pivots import extent_centre
 from kit1000.values import FIRST_PART_LABEL, LabelledDepth, View
@@ -49,7 +50,7 @@ def find_pick(image: LabelledDepth, part: int, sensor: str) -> Pick:
     world_from_level = level_frame(image.view)
     camera = world_from_level.inverse() @ image.view.world_from_camera
     level = replace(image, view=replace(image.view, world_from_camera=camera))
-    grasp = best_grasp(level, part, SEEN_FLATNESS[sensor])
+    grasp = best_grasp(level, part, simulated_sensor(sensor).kind.flatness)
     point, cup = (_top(level, part), None) if grasp is None else (grasp.point, grasp.cup)
     return Pick(world_from_level @ Pose(DOWN.wxyz, point), cup)
 

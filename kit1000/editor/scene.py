@@ -16,7 +16,7 @@ from kit1000.editor.seen import ColouredPoints, SeenScene, coloured_points, obse
 from kit1000.editor.seen_plates import Plate, find_plates
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh
-from kit1000.perception.observed.pixels import noise_of
+from kit1000.perception.sensor_facts import simulated_sensor
 from kit1000.pose import Pose
 from kit1000.values import ASSEMBLY_LABEL, Query, View
 
@@ -79,7 +79,7 @@ class EditedScene:
     def plates(self) -> list[Plate]:
         """As seen, the largest first."""
         mask = self.recorded.labelled_depth(self.sensor).labels == ASSEMBLY_LABEL
-        return find_plates(self.view, mask, noise_of(self.sensor))
+        return find_plates(self.view, mask, simulated_sensor(self.sensor).kind.noise)
 
     @cached_property
     def clouds(self) -> dict[int, np.ndarray]:

@@ -10,8 +10,9 @@ from scipy.spatial import ConvexHull, KDTree
 
 from kit1000.mesh import Mesh
 from kit1000.numerics.linear_algebra import eigenvectors, matmul
-from kit1000.perception.observed.pixels import Noise, oriented_points
-from kit1000.perception.observed.plates import Plane, find_planes, without_nested
+from kit1000.perception.image_kinds import Noise
+from kit1000.perception.observed.pixels import oriented_points
+from kit1000.perception.observed.plates import find_planes, on_plane, without_nested
 from kit1000.pose import unit_vector
 from kit1000.rng import stream
 from kit1000.values import View
@@ -80,14 +81,8 @@ def find_plates(view: View, mask: np.ndarray, noise: Noise) -> list[Plate]:
     points, normals, area = points[::step], normals[::step], area * step
     planes = find_planes(points, normals, area, noise, stream(0, "plates of the page"))
     planes = without_nested(planes, points, normals, noise)
-    bodies = [body for plane in planes for body in _bodies(_on_plane(plane, points, normals, noise), area)]
+    bodies = [body for plane in planes for body in _bodies(points[on_plane(plane, points, normals, noise)], area)]
     return [_plate(body) for body in sorted(bodies, key=len, reverse=True)]
-
-
-def _on_plane(plane: Plane, points: np.ndarray, normals: np.ndarray, noise: Noise) -> np.ndarray:
-    """(k, 3) [m] those of points (n, 3) with normals (n, 3) that lie on a plane and face its way."""
-    near = np.abs(matmul(points - plane.point, plane.normal)) < 2 * noise.distance
-    return points[near & (matmul(normals, plane.normal) > np.cos(2 * noise.angle))]
 
 
 def _bodies(points: np.ndarray, area: float) -> list[np.ndarray]:

@@ -37,7 +37,7 @@ from kit1000.editor.worker import Method, Worker
 from kit1000.errors import InputError, InternalError, shown
 from kit1000.files import check_writable, locked
 from kit1000.interrupts import wait_until_interrupted
-from kit1000.perception.sensor_facts import AnySensor, sensor_of
+from kit1000.perception.sensor_facts import SensorFacts, sensor_of
 
 HOST = "127.0.0.1"
 PORTS = range(8080, 8100)  # tried in order, if none is asked for
@@ -168,9 +168,9 @@ def serving(
             server.stop()
 
 
-def camera_name(sensor: AnySensor) -> str:
+def camera_name(sensor: SensorFacts) -> str:
     """What the page calls the camera of an image."""
-    return f"{sensor} camera" if isinstance(sensor, str) else sensor.device
+    return f"{sensor.device} camera" if sensor.simulated_table else sensor.device
 
 
 def head_text(header: Header, camera: str) -> str:

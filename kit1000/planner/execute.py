@@ -18,8 +18,9 @@ import numpy as np
 from kit1000.dataset.reader import RecordedScene
 from kit1000.kits.convex_pieces import enclosing_prisms
 from kit1000.kits.seating import HOVER, UP
+from kit1000.perception.sensor_facts import simulated_sensor
 from kit1000.planner.collision import Cell
-from kit1000.planner.grasp import SEEN_FLATNESS, Grasp, find_grasps, is_held, touch
+from kit1000.planner.grasp import Grasp, find_grasps, is_held, touch
 from kit1000.planner.motion import LINE_ACCELERATION, LINE_SPEED, Leg, arrival_times
 from kit1000.planner.planning import APPROACH, COLLISION, KITS, UNREACHABLE, Plan, Refusal, Task, plan
 from kit1000.planner.robot import HOME
@@ -99,7 +100,7 @@ class Bench:
         self.scene_id = scene.id
         self.image: LabelledDepth = scene.labelled_depth(sensor)
         self.images = images or {}
-        self.flatness = SEEN_FLATNESS[sensor]
+        self.flatness = simulated_sensor(sensor).kind.flatness
         self.assembly: Assembly = geometry.assembly(assembly.id)
         self.world_from_assembly = assembly.world_from_body
         self.parts: list[Part] = [geometry.part(body.id) for body in parts]

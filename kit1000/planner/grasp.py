@@ -25,7 +25,6 @@ HOLD = 1.5  # times the weight of the part, at least: the arm accelerates by a h
 RIM = 0.5e-3  # [m] of flat surface beyond the cup
 NOZZLE_ROOM = 3e-3  # [m] about the cup, where nothing may rise above the surface: the nozzle is as wide as the cup
 FLATNESS = 0.5e-3  # [m] by which the lip of the cup bends
-SEEN_FLATNESS = {"ideal": FLATNESS, "photoneo": 1e-3, "d415": 2.5e-3}  # [m] by sensor: noise of its depths comes on top
 MAX_TILT = np.radians(8)  # of the surface: the bellows bend no farther
 TRUE_TILT = np.radians(10)  # the same on the true surface under the cup: the image is not exact
 CANDIDATE_SPACING = 2e-3  # [m]

@@ -1,268 +1,312 @@
-"""The method from end to end: a source of volumes, registration in it, and the confidence in the best fit."""
+"""Registration of a part in a scene: search, refinement, refinement in the image, and rank, in this order.
+
+`register` finds the fits at one clearance, `fits_at` those at the best of several clearances.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
-from itertools import chain
-from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from typing import Protocol
 
-from kit1000.dataset.reader import Dataset
-from kit1000.errors import InputError
-from kit1000.perception.heights.labelled_views import LabelledViews
-from kit1000.perception.observed.parts import ObservedPart
-from kit1000.perception.restoration import restored_query
-from kit1000.perception.sensor_facts import needs_restoring, sensor_of
+import numpy as np
+
+from kit1000.perception.calibration import CameraEstimate
+from kit1000.perception.image_kinds import COST, IDEAL, CostTerms, ImageKind
+from kit1000.perception.placement.channels import CELLS
 from kit1000.pose import Pose
-from kit1000.predictor import PredictedMotion
-from kit1000.queries.pivots import part_pivots
-from kit1000.registration.choice.assignment import assigned
-from kit1000.registration.choice.confidence import confidence
-from kit1000.registration.choice.fits import Fit, lead, least_misfit, ranked
-from kit1000.registration.choice.from_evidence import register_certain
-from kit1000.registration.choice.from_filled_part import register_columns
-from kit1000.registration.choice.several_images import agreed
-from kit1000.registration.inputs.other_places import from_elsewhere
-from kit1000.registration.inputs.shared_image import SharedImage
-from kit1000.registration.inputs.volume_sources import DepthSource, TrueSource
-from kit1000.registration.search.effort import affordable
-from kit1000.values import FIRST_PART_LABEL, Query, TrueGeometry
+from kit1000.registration.contradictions import Contradictions, KitHeights, contradictions
+from kit1000.registration.geometry.cavity import Cavity
+from kit1000.registration.geometry.height_maps import outline_cost
+from kit1000.registration.image_refine import ImageFit, plate_patch, refine_in_image
+from kit1000.registration.kit_volume import KitCavities, TrueKits
+from kit1000.registration.part_volume import PartShape, true_part
+from kit1000.registration.prepared_image import RestoredImage
+from kit1000.registration.rank import Fit, assigned, least_cost, moved, ranked, same_pose
+from kit1000.registration.refine import Intervals, refine_within
+from kit1000.registration.search import (
+    UP,
+    Candidate,
+    find_candidates,
+    lies_on,
+    tilted,
+    tries_of,
+    within_guess_error,
+    without_duplicates,
+)
+from kit1000.values import Query, TrueGeometry
 
-if TYPE_CHECKING:
-    from kit1000.perception.completion.parts.completed import PartCompleter
-    from kit1000.perception.placement.placer import Placer
-    from kit1000.perception.restoration.hole_filler import HoleFiller
-    from kit1000.perception.restoration.restorer import Restorer
+DISTINCT, DISTINCT_WITHOUT_GUESS = 24, 16  # candidates of each plate among which contradictions choose
+REFINED, REFINED_WITHOUT_GUESS = 4, 6  # candidates of all plates that are refined
+COARSE_WEIGHT = 1e-3  # [m] weight of the coarse cost beside contradictions: unseen cells contradict nothing
+UNSEEN_CHOICE = 0.3e-3  # [m] added in the choice of candidates for a face that the part's volume does not have
+UNSEEN_COST = 0.4e-3  # [m] the same in the cost of a fit
+MOST_TRIED = 40  # candidates that are refined as long as no fit is good; fewer of large parts
+IN_IMAGE = 3  # best fits that are refined in a noisy image
+USUAL_SPREAD = 55e-6  # [m] usual standard deviation of the place of such a fit
+USUAL_CAMERA_SPREAD = 1.45e-3  # [m] of a motion, by the camera of a noisy image: the mean of the split val
+MORE_COST = 0.4e-3  # [m] added to the cost of candidates beyond the first: the image contradicts them more
+SPARE = 3  # more candidates are refined if some of the first end in an earlier pose
+CHOICE_DECIMALS = 9  # of a metre: candidates that contradict equally are taken in order
 
-SOURCES = ("depth", "columns", "truth")
-UNKNOWN = (0.25e-3, 0.5e-3, 1e-3, 2.5e-3)  # [m] clearances that are tried where the dataset states none
-LARGEST = 0.1  # [m] of a clearance that is stated: a larger one was written in mm
+
+class Scene(Protocol):
+    """What is registered: the kits and parts of a `PreparedImage`, or of a `TrueScene`."""
+
+    query: Query
+    kind: ImageKind
+    kits: KitCavities
+    camera: CameraEstimate | None
+    """The camera with its uncertainty; None: exact, or unknown."""
+
+    def parts(self, query: Query) -> Iterator[tuple[PartShape, RestoredImage | None]]:
+        """The part of a query, in each way to see it, with the image in which fits are refined."""
+        ...
+
+    def rivals(self) -> Iterable[Query]:
+        """The queries about the other parts of the scene."""
+        ...
 
 
-@dataclass(frozen=True, eq=False)
-class Registration:
-    """Predicts by registration: compares the cavity that the part would cut with those in the plates."""
+class TrueScene:
+    """A scene of which the true shapes are known."""
 
-    dataset: Dataset
-    source: str = "depth"
-    """depth: the query's image and masks, by what they make certain; columns: the same, with the part filled down to
-    the table; truth: the true geometry."""
-    clearances: tuple[float, ...] = ()
-    """[m] to try, of which the best fit counts; by default the one that the dataset states, or UNKNOWN."""
-    completion: Path | None = None
-    """Stem of the weights of a network that completes the part; None fills columns."""
-    noisy_completion: Path | None = None
-    """The same of one that learned from noisy images alone, which it reads; None: `completion` reads them too."""
-    restoration: Path | None = None
-    """Stem of the weights of a network that restores noisy images; None restores by rules."""
-    hole_filling: Path | None = None
-    """Stem of the weights of a network that fills holes of kits in a scanner's images; None: they stay unknown."""
-    placement: Path | None = None
-    """Stem of the weights of a network that places fits in images that a network restored; None: it is not asked."""
-    cameras: Literal["primary", "three"] = "primary"
-    """three: further images beside the query's own, which source `depth` reads."""
+    def __init__(self, query: Query, geometry: TrueGeometry) -> None:
+        """geometry: of the part and the kits."""
+        self.query, self.kind = query, IDEAL
+        self.camera: CameraEstimate | None = None
+        self._geometry = geometry
+        self.kits = KitCavities(TrueKits(geometry), query)
 
-    def __post_init__(self) -> None:
-        if self.source not in SOURCES:
-            raise InputError(f"source {self.source!r}: expected one of {', '.join(SOURCES)}")
-        if self.cameras == "three" and self.source != "depth":
-            raise InputError(f"cameras 'three': source depth alone reads them, got source {self.source!r}")
+    def parts(self, query: Query) -> Iterator[tuple[PartShape, RestoredImage | None]]:
+        """The true part."""
+        yield true_part(self._geometry), None
 
-    @cached_property
-    def views(self) -> LabelledViews:
-        """The images of the three cameras."""
-        return LabelledViews(self.dataset)
+    def rivals(self) -> Iterable[Query]:
+        """None: only the query's own part is known."""
+        return ()
 
-    @cached_property
-    def restorer(self) -> Restorer | None:
-        """The network that restores images."""
-        if self.restoration is None:
-            return None
-        from kit1000.perception.restoration.restorer import Restorer
 
-        return Restorer(self.restoration)
+def fits_in(scene: Scene, clearances: Sequence[float]) -> list[Fit]:
+    """All fits of the part of a scene's query, the best first.
 
-    @cached_property
-    def filler(self) -> HoleFiller | None:
-        """The network that fills holes."""
-        if self.hole_filling is None:
-            return None
-        from kit1000.perception.restoration.hole_filler import HoleFiller
+    With several clearances [m], the fits are those at the one whose best fit costs the least.
+    """
+    searches = [
+        [FitSearch(PartRegistration(scene, part, image, scene.query, clearance)) for clearance in clearances]
+        for part, image in scene.parts(scene.query)
+    ]
+    if not searches:
+        return []
+    first = searches[0]
+    best = 0 if len(first) == 1 else min(range(len(first)), key=lambda k: least_cost(first[k].first_fits()))
+    fits = min((each[best].all_fits() for each in searches), key=least_cost)
+    if scene.query.guess is not None:
+        return fits
+    return assigned(fits, _fits_of_rivals(scene, clearances[best]), scene.kind.right_plate)
 
-        return HoleFiller(self.hole_filling)
 
-    def placer(self, sensor: str) -> Placer | None:
-        """The network that places fits in the images of a sensor."""
-        return _placer(self.placement) if self.placement is not None and self._restores(sensor) else None
+def _fits_of_rivals(scene: Scene, clearance: float) -> Iterator[list[Fit]]:
+    """The first fits of each other part of a scene: only their costs are read."""
+    for query in scene.rivals():
+        parts = scene.parts(query)
+        found = [FitSearch(PartRegistration(scene, part, None, query, clearance)).first_fits() for part, _ in parts]
+        yield min(found, key=least_cost, default=[])
 
-    def completer(self, sensor: str) -> PartCompleter | None:
-        """The network that completes parts in the images of a sensor."""
-        stem = self.noisy_completion if needs_restoring(sensor) else None
-        return None if self.completion is None else _completer(stem or self.completion)
 
-    @property
-    def uses_true_geometry(self) -> bool:
-        """Whether it needs the true geometry."""
-        return self.source == "truth"
+class FitSearch:
+    """The fits of a part: candidates are refined one after the other, until a fit is good."""
 
-    def __call__(self, query: Query, geometry: TrueGeometry | None = None) -> PredictedMotion:
-        """The best fit; where nothing fits, the guess or no motion, with confidence 0."""
-        return self._best(self.fits(query, geometry), query)
+    def __init__(self, part: PartRegistration) -> None:
+        """Nothing is searched yet."""
+        self.part = part
+        self.fits: list[Fit] = []
+        self._goals: list[Pose] = []  # in which candidates ended
+        self._candidates: list[Candidate] | None = None
+        self._tried = 0
 
-    def motions(self, query: Query, geometry: TrueGeometry | None = None) -> list[PredictedMotion]:
-        """All fits, the best first, each with its confidence."""
-        fits = self.fits(query, geometry)
-        return [self._motion(fit, fits, query) for fit in fits]
+    def first_fits(self) -> list[Fit]:
+        """The fits of the first candidates, the best first."""
+        self._refine_first()
+        return ranked(map(self.part.raised, self._within_guess()))
 
-    def _motion(self, fit: Fit, fits: list[Fit], query: Query) -> PredictedMotion:
-        """One of the fits, with its confidence."""
-        ahead = lead(fit, fits, query.pivot)
-        return PredictedMotion(fit.goal_from_now, confidence(fit.doubt, ahead, self.source, self._kind(query)))
+    def all_fits(self) -> list[Fit]:
+        """The fits of the first candidates, of more if the best fit is doubtful; the best are refined in the image."""
+        self._refine_first()
+        self._refine_more()
+        best = self._within_guess()
+        in_image = [*self.part.in_image(best[:IN_IMAGE]), *best[IN_IMAGE:]]
+        return ranked(map(self.part.raised, in_image))
 
-    def _kind(self, query: Query) -> str:
-        """The kind of an image: its sensor, or restored where a network restores it."""
-        return "restored" if self._restores(query.sensor) else query.sensor
+    def _within_guess(self) -> list[Fit]:
+        """The fits that are as near to the guess as a goal is, the best first."""
+        return ranked(fit for fit in self.fits if within_guess_error(fit.goal_from_now, self.part.query))
 
-    def _restores(self, sensor: str) -> bool:
-        """Whether a network restores the images of a sensor."""
-        return self.restorer is not None and needs_restoring(sensor)
+    def _refine_first(self) -> None:
+        """Refine candidates until enough of them end in different poses."""
+        if self._candidates is None:
+            self._candidates = self.part.candidates()
+        most = REFINED_WITHOUT_GUESS if self.part.query.guess is None else REFINED
+        first = self._candidates[: most + SPARE]
+        while self._tried < len(first) and len(self._goals) < most:
+            self._add_fit(first[self._tried], first=True)
+            self._tried += 1
 
-    def together(self, queries: Sequence[Query]) -> PredictedMotion:
-        """The best fit by several images of one part, which cameras took in one world."""
-        return self._best(self._fits_together(queries), queries[0])
+    def _refine_more(self) -> None:
+        """Refine more candidates as long as the best fit is doubtful, at last tilts of the best fit."""
+        assert self._candidates is not None
+        guessed, part = self.part.query.guess is not None, self.part
+        least = (REFINED if guessed else REFINED_WITHOUT_GUESS) + SPARE
+        tries = tries_of(part.shape.half_width, least, MOST_TRIED)
+        while self._tried < len(self._candidates[:tries]) and self._doubtful():
+            self._add_fit(self._candidates[self._tried])
+            self._tried += 1
+        if self.fits and self._doubtful():
+            best = ranked(self.fits)[0].candidate
+            if not lies_on(best.down_normal):
+                for candidate in tilted(best, part.shape.middle, part.refinement.tilt):
+                    self._add_fit(candidate)
 
-    def _best(self, fits: list[Fit], query: Query) -> PredictedMotion:
-        """The first of the fits; the guess or no motion where there is none."""
-        if not fits:
-            return PredictedMotion(Pose.identity() if query.guess is None else query.guess, 0.0)
-        return self._motion(fits[0], fits, query)
+    def _doubtful(self) -> bool:
+        """Whether a better fit is searched."""
+        return min((fit.cost for fit in self.fits), default=np.inf) > self.part.refinement.doubtful
 
-    def fits(self, query: Query, geometry: TrueGeometry | None = None) -> list[Fit]:
-        """All fits, the best first; by all images of the scene, where dataset.json states several."""
-        return self._fits_together([query, *from_elsewhere(self.dataset, query)], geometry)
+    def _add_fit(self, candidate: Candidate, first: bool = False) -> None:
+        """Add the fit of a candidate, unless it converges to a known goal or leaves the guess's range.
 
-    def _fits_together(self, queries: Sequence[Query], geometry: TrueGeometry | None = None) -> list[Fit]:
-        """All fits by the images of some queries about one part, the best first."""
-        return agreed([self.fits_in_image(query, geometry) for query in queries], queries[0].pivot)
-
-    def fits_in_image(self, query: Query, geometry: TrueGeometry | None = None) -> list[Fit]:
-        """All fits by the query's own image, the best first.
-
-        Where no clearance is stated, those from depth are at the one that fits best.
+        Candidates beyond the first are fitted only if their first pass already costs less than every fit.
         """
-        if self.source == "depth":
-            image = self.image_of(query)
-            if not self.clearances and len(self.all_clearances) > 1:
-                return self._fits_at_best_clearance(query, image)
-            fits = self.certain_fits(query, image)
-            if query.guess is not None or self.clearances:
-                return fits
-            others = (self.certain_fits(other, image, thorough=False) for other in _other_parts(query))
-            return assigned(fits, others, self._kind(query))
-        if self.source == "columns":
-            query = restored_query(query)
-        filled = DepthSource(query) if self.source == "columns" else _true_source(query, geometry)
-        return ranked(chain.from_iterable(register_columns(filled, query, c) for c in self.all_clearances))
+        part = self.part
+        candidate, left = part.refined(candidate, part.refinement.passes[0])
+        goal_from_now = candidate.cavity.world_from_plate @ candidate.plate_from_now
+        known = any(same_pose(goal_from_now, goal, part.shape.middle) for goal in self._goals)
+        if known or not within_guess_error(goal_from_now, part.query):
+            return
+        self._goals.append(goal_from_now)
+        if first:
+            self.fits.append(part.fitted(candidate))
+        elif part.cost_terms(candidate, left).weighted(COST) < min((fit.cost for fit in self.fits), default=np.inf):
+            fit = part.fitted(candidate)
+            self.fits.append(replace(fit, cost=fit.cost + MORE_COST))
 
-    @cached_property
-    def all_clearances(self) -> tuple[float, ...]:
-        """[m] to try."""
-        return self.clearances or stated_clearances(self.dataset)
 
-    def certain_fits(self, query: Query, image: SharedImage, thorough: bool = True) -> list[Fit]:
-        """All fits by what the image makes certain. thorough: further candidates are refined while none fits well.
+class PartRegistration:
+    """A part, the kits of its scene, and how candidates of the part are refined at a clearance."""
 
-        Of several guesses at what holes of the part show that counts whose best fit has the least misfit: a wrong
-        shape fits no cavity.
+    def __init__(
+        self, scene: Scene, shape: PartShape, image: RestoredImage | None, query: Query, clearance: float
+    ) -> None:
+        """Prepare the registration of a part.
+
+        Args:
+            scene: its kits, kind of image and camera.
+            shape: of the part.
+            image: in which fits are refined; None: they are not.
+            query: about the part; its guess, if any, bounds the search.
+            clearance: [m]
         """
-        further = thorough and len(self.all_clearances) == 1  # at a wrong clearance every fit is doubtful
-        sources = self.sources(query, image)
-        return min((_fits(source, self.all_clearances, further) for source in sources), key=least_misfit)
+        self.shape, self.image, self.query, self.clearance = shape, image, query, clearance
+        self.kits, self.camera, self.refinement = scene.kits, scene.camera, scene.kind.refinement
+        self.prior = self.refinement.prior if shape.completed is None else self.refinement.completed_prior
+        self._heights: dict[Cavity, KitHeights] = {}
 
-    def _fits_at_best_clearance(self, query: Query, image: SharedImage) -> list[Fit]:
-        """The fits at the clearance whose best fit has the least misfit; at that one further candidates are refined."""
-        first, *others = self.sources(query, image)
-        quick = {c: register_certain(first, first.query, c, further=False) for c in self.all_clearances}
-        best = min(quick, key=lambda clearance: least_misfit(quick[clearance]))
-        fits = min((_fits(source, (best,)) for source in (first, *others)), key=least_misfit)
-        if query.guess is not None:
-            return fits
-        rest = (self.sources(other, image)[0] for other in _other_parts(query))
-        return assigned(fits, (_fits(source, (best,), further=False) for source in rest), self._kind(query))
+    def candidates(self) -> list[Candidate]:
+        """The candidates that differ, those first that the image contradicts least."""
+        found = find_candidates(self.shape, self.kits, self.query, self.clearance)
+        most = DISTINCT_WITHOUT_GUESS if self.query.guess is None else DISTINCT
+        return self.least_contradictory(without_duplicates(found, self.shape.middle, most))
 
-    def image_of(self, query: Query) -> SharedImage:
-        """The image of a query, for all parts of its scene."""
-        sensor = sensor_of(self.dataset.summary, query.sensor, query.scene_id)
-        return SharedImage(query.image, sensor, self.restorer, self.filler)
+    def least_contradictory(self, candidates: Sequence[Candidate]) -> list[Candidate]:
+        """The candidates, those first that the image contradicts least."""
 
-    def sources(self, query: Query, image: SharedImage) -> list[DepthSource]:
-        """What registration reads of a query, by each guess at what holes of the part show."""
-        return [self._source(query, image, columns) for columns in image.guesses]
+        def choice(candidate: Candidate) -> float:
+            unseen = 0.0 if candidate.seen else UNSEEN_CHOICE
+            return round(
+                self._contradictions(candidate).choice + COARSE_WEIGHT * candidate.cost + unseen, CHOICE_DECIMALS
+            )
 
-    def _source(self, query: Query, image: SharedImage, columns: bool) -> DepthSource:
-        """What registration reads of a query, calibrated and restored."""
-        kind, label = self._kind(query), FIRST_PART_LABEL + query.part
-        query = replace(query, read_image=lambda: image.restored(label, columns))
-        return DepthSource(
-            query,
-            self.completer(query.sensor),
-            measured=image.measured if needs_restoring(query.sensor) else None,
-            others=() if self.cameras == "primary" else self.views.of(query),
-            restored=kind == "restored",
-            gain=image.gain,
-            placer=self.placer(query.sensor),
-            camera=image.camera,
-            cavities=image.cavities,
-        )
+        return sorted(candidates, key=choice)
 
+    def refined(self, candidate: Candidate, scales: Sequence[float]) -> tuple[Candidate, Intervals]:
+        """A candidate after one pass at some scales [m], with what is left of its residuals."""
+        shape = self.shape
+        left = refine_within(shape.bounds, shape.middle, candidate, self.clearance, self.prior, scales)
+        return replace(candidate, plate_from_now=left.plate_from_now), left
 
-def _fits(source: DepthSource, clearances: Sequence[float], further: bool = True) -> list[Fit]:
-    """The fits of a source at some clearances [m], the best first. further: see `register_certain`."""
-    return ranked(chain.from_iterable(register_certain(source, source.query, c, further) for c in clearances))
+    def cost_terms(self, candidate: Candidate, left: Intervals) -> CostTerms:
+        """The terms of the cost of a refined candidate, without the outline's."""
+        contradicted, coarse = self._contradictions(candidate).cost, COARSE_WEIGHT * candidate.cost
+        unseen = 0.0 if candidate.seen else UNSEEN_COST
+        return CostTerms(left.outside, left.filled, 0.0, contradicted, coarse, unseen)
 
+    def fitted(self, candidate: Candidate) -> Fit:
+        """The fit of a candidate after the first pass."""
+        candidate, left = self.refined(candidate, self.refinement.passes[1])
+        filled, pose = self.shape.bounds.filled, candidate.plate_from_now
+        outline = outline_cost(filled, candidate.cavity, pose, self.clearance)
+        terms = self.cost_terms(candidate, left)._replace(outline=outline)
+        goal_from_now = candidate.cavity.world_from_plate @ candidate.plate_from_now
+        uncertainty = terms.weighted(self.refinement.uncertainty) + self._hidden_uncertainty(goal_from_now)
+        return Fit(goal_from_now, terms.weighted(COST), uncertainty, candidate)
 
-def stated_clearances(dataset: Dataset) -> tuple[float, ...]:
-    """[m] the clearance that a dataset states, or UNKNOWN; raises InputError where it is no length."""
-    stated = dataset.summary.get("config", {}).get("clearance")
-    if stated is None:
-        return UNKNOWN
-    if isinstance(stated, bool) or not isinstance(stated, int | float) or not 0 < stated < LARGEST:
-        raise InputError(
-            f"{dataset.root}: dataset.json: config: clearance: expected metres, such as 0.0025, or none where it is "
-            f"not known, got {stated!r}"
-        )
-    return (stated,)
+    def _hidden_uncertainty(self, goal_from_now: Pose) -> float:
+        """[m] uncertainty that no residual shows: of a hidden outline, and of the camera's pose after calibration."""
+        uncertainty = self.refinement.hidden * self.shape.hidden_outline
+        if self.refinement.camera and self.camera is not None:
+            spread = self.camera.spread_of(goal_from_now, self.shape.middle)
+            uncertainty += self.refinement.camera * (spread - USUAL_CAMERA_SPREAD)
+        return uncertainty
 
+    def in_image(self, fits: Sequence[Fit]) -> list[Fit]:
+        """Fits, moved in their plates to where a noisy image shows the cavity.
 
-@lru_cache(maxsize=2)  # for exact and for noisy images
-def _completer(stem: Path) -> PartCompleter:
-    """The network with the weights of a stem, loaded when an image asks for it."""
-    from kit1000.perception.completion.parts.completed import PartCompleter
+        The cost of a fit rises with its image cost above that of the best fit.
+        """
+        image, noise = self.image, self.refinement.noise_px
+        if image is None or not noise:
+            return list(fits)
+        filled, middle = self.shape.bounds.filled, self.shape.middle
+        found = [
+            refine_in_image(image.restored, image.gain / noise, filled, middle, fit.candidate, self.clearance)
+            for fit in fits
+        ]
+        costs = [0.0 if each is None or not self.refinement.image_cost else each.cost() for each in found]
+        least = min((cost for cost, each in zip(costs, found, strict=True) if each is not None), default=0.0)
+        return [
+            fit if each is None else self._placed(self._shown(fit, each, cost - least), image)
+            for fit, each, cost in zip(fits, found, costs, strict=True)
+        ]
 
-    return PartCompleter(stem)
+    def _shown(self, fit: Fit, found: ImageFit, image_cost: float) -> Fit:
+        """A fit where the image shows it. image_cost: above that of the best fit."""
+        candidate = replace(fit.candidate, plate_from_now=found.plate_from_now)
+        goal_from_now = candidate.cavity.world_from_plate @ found.plate_from_now
+        cost, uncertainty = fit.cost, fit.uncertainty
+        if self.refinement.image_cost:
+            cost += self.refinement.image_cost * image_cost
+        if self.refinement.spread:
+            uncertainty += self.refinement.spread * float(np.log(found.spread() / USUAL_SPREAD))
+        return Fit(goal_from_now, cost, uncertainty, candidate)
 
+    def _placed(self, fit: Fit, image: RestoredImage) -> Fit:
+        """A fit, moved by the network that places fits, if there is one."""
+        if image.placer is None:
+            return fit
+        patch = plate_patch(self.shape, image, fit.candidate, self.clearance, CELLS)
+        if patch is None:
+            return fit
+        return moved(fit, patch.moved(fit.goal_from_now, self.shape.middle, image.placer(patch.channels)))
 
-@lru_cache(maxsize=1)
-def _placer(stem: Path) -> Placer:
-    """The network with the weights of a stem, loaded when an image asks for it."""
-    from kit1000.perception.placement.placer import Placer
+    def raised(self, fit: Fit) -> Fit:
+        """A fit with its goal raised along the insertion axis; see `Refinement.raise_goal`."""
+        if not self.refinement.raise_goal:
+            return fit
+        height = self.refinement.raise_goal * self.shape.half_width
+        world_from_plate = fit.candidate.cavity.world_from_plate
+        return moved(fit, Pose.from_translation(height * world_from_plate.rotate(UP)) @ fit.goal_from_now)
 
-    return Placer(stem)
-
-
-def _other_parts(query: Query) -> Iterator[Query]:
-    """The query about each other part of its image, as far as they are affordable."""
-    pivots = part_pivots(query.view, query.image.labels) | {query.part: query.pivot}
-    seen = {part: ObservedPart(query.image, FIRST_PART_LABEL + part, pivot) for part, pivot in pivots.items()}
-    half_widths = {part: each.half_width for part, each in seen.items()}
-    own = half_widths.pop(query.part)
-    for part in affordable(half_widths, own):
-        yield replace(query, part=part, pivot=pivots[part])
-
-
-def _true_source(query: Query, geometry: TrueGeometry | None) -> TrueSource:
-    if geometry is None:
-        raise InputError(f"{query.id}: registration from true volumes needs the true geometry")
-    return TrueSource(geometry)
+    def _contradictions(self, candidate: Candidate) -> Contradictions:
+        cavity = candidate.cavity
+        if cavity not in self._heights:
+            self._heights[cavity] = KitHeights.of(cavity, self.clearance)
+        return contradictions(self.shape, self._heights[cavity], candidate.plate_from_now)

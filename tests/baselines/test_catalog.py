@@ -206,7 +206,7 @@ def test_a_method_of_ones_own_is_made_from_its_module(data: Dataset) -> None:
     assert (predictor.dataset, predictor.seed) == (data, 3)
     assert make_predictor(method_of("baselines.controls:guess"), data, 0) is resolved("baselines.controls:guess")
     assert method_of("baselines.controls:NoisyGoal").uses_true_geometry
-    assert not method_of("kit1000.registration.method:Registration").uses_true_geometry  # its instances have it
+    assert not method_of("kit1000.registration.predictor:Registration").uses_true_geometry  # its instances have it
 
 
 @pytest.mark.parametrize(
@@ -249,7 +249,7 @@ def test_the_source_of_a_method_is_all_that_it_imports(tmp_path: Path, monkeypat
 def test_the_source_of_registration_covers_perception_and_predicted_masks() -> None:
     entry = METHODS["registration"].make.partition(":")[0]
     found = imported_modules([entry], {"kit1000": ROOT / "kit1000"})
-    assert {"kit1000.registration.search.correlation", "kit1000.perception.restoration.restorer"} <= set(found)
+    assert {"kit1000.registration.search", "kit1000.perception.restoration.restorer"} <= set(found)
     assert source_hash(METHODS["registration"]) != source_hash(method_of("registration+predicted-masks"))
 
 

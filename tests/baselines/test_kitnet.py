@@ -10,6 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch.utils.data import default_collate
 
+from baselines.heights.maps import UNSEEN, HeightMap
+from baselines.heights.scene_heights import RenderedHeights
 from baselines.kitnet.config import KitNetConfig
 from baselines.kitnet.examples import KitNetExamples, wiped
 from baselines.kitnet.method import KitNetMethod, seat
@@ -17,8 +19,6 @@ from baselines.kitnet.network import KitNet, rotation_error, rotation_loss
 from baselines.kitnet.views import cavity_image, cavity_view, part_image
 from baselines.training.tasks.goal_draws import QueryDraws
 from kit1000.dataset.reader import Dataset
-from kit1000.perception.heights.maps import UNSEEN, HeightMap
-from kit1000.perception.heights.scene_heights import RenderedHeights
 from kit1000.perception.observed.plates import Plane
 from kit1000.pose import Pose, random_quaternions
 from kit1000.rng import stream

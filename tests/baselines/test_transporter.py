@@ -10,6 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch.utils.data import default_collate
 
+from baselines.heights.maps import HeightMap
+from baselines.heights.scene_heights import RenderedHeights, SceneHeights
 from baselines.training.tasks.goal_draws import QueryDraws
 from baselines.transporter.config import TRANSPORTER, YAW_STEP, YAWS, TransporterConfig
 from baselines.transporter.examples import GUESS_YAWS, TransporterExamples, goals_of, transporter_loss
@@ -36,8 +38,6 @@ from baselines.transporter.network import (
     with_slopes,
 )
 from kit1000.dataset.reader import Dataset
-from kit1000.perception.heights.maps import HeightMap
-from kit1000.perception.heights.scene_heights import RenderedHeights, SceneHeights
 from kit1000.pose import Pose, random_quaternions
 from kit1000.queries.guesses import MAX_ANGLE, MAX_OFFSET
 from kit1000.rng import stream

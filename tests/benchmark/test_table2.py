@@ -19,7 +19,7 @@ from kit1000.dataset.geometry import Geometry
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.errors import InputError
 from kit1000.metrics import Targets
-from kit1000.perception.sensor_facts import AnySensor, SensorFacts
+from kit1000.perception.sensor_facts import SensorFacts, simulated_sensor
 from kit1000.planner.execute import NO_SEAL, OUTCOMES, PartRun, SceneRun
 from kit1000.pose import Pose
 from kit1000.submission import Manifest, write_submission
@@ -128,7 +128,7 @@ def test_the_robot_finds_parts_by_predicted_masks_where_the_manifest_states_them
     folders = {masks: tmp_path / masks for masks in ("given", "predicted")}
     found = []
 
-    def find(query: Query, scale: float, sensor: AnySensor) -> Query:
+    def find(query: Query, scale: float, sensor: SensorFacts) -> Query:
         found.append((scale, sensor))
         return query
 
@@ -136,7 +136,7 @@ def test_the_robot_finds_parts_by_predicted_masks_where_the_manifest_states_them
     assert [images is None for _, images in seen] == [True, True, False]
     own = [query for query in queries if query.scene_id == seen[-1][0]]
     assert set(seen[-1][1] or ()) == {query.part for query in own}
-    assert found == [(dataset.summary["config"]["scale"], "ideal")] * len(own)
+    assert found == [(dataset.summary["config"]["scale"], simulated_sensor("ideal"))] * len(own)
 
 
 def test_masks_are_found_by_the_facts_of_the_sensor(
@@ -155,9 +155,9 @@ def test_masks_are_found_by_the_facts_of_the_sensor(
     dataset = Dataset(root)
     rows = [Prediction(q.id, Pose.identity(), 0.5, 1.0) for q in dataset.split(SPLIT).queries("snap-d415")]
     write_submission(tmp_path / "found", manifest(dataset, "snap-d415", "predicted"), rows)
-    given: list[AnySensor] = []
+    given: list[SensorFacts] = []
 
-    def find(query: Query, scale: float, sensor: AnySensor) -> Query:
+    def find(query: Query, scale: float, sensor: SensorFacts) -> Query:
         given.append(sensor)
         return query
 

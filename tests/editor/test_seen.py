@@ -18,7 +18,7 @@ from kit1000.editor.seen_plates import TABLE, Plate, find_plates
 from kit1000.editor.session import distance
 from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.parts.cad import polygon, prism
-from kit1000.perception.observed.pixels import IDEAL
+from kit1000.perception.image_kinds import IDEAL
 from kit1000.pose import Pose, quaternion_between
 from kit1000.sim.layout import table
 from kit1000.sim.render import render
@@ -73,7 +73,7 @@ def seen() -> tuple[View, Mesh, Mesh]:
 @cache
 def plates_of_kit() -> list[Plate]:
     view, labels = pictured()
-    return find_plates(view, labels == 1, IDEAL)
+    return find_plates(view, labels == 1, IDEAL.noise)
 
 
 def test_seen_points_are_on_the_true_surface() -> None:
@@ -121,14 +121,14 @@ def test_two_plates_in_one_plane_are_two() -> None:
     shifted = Pose.from_translation((0.11, 0.0, 0.0))
     bodies = [(kit(), WORLD_FROM_PLATE @ shift) for shift in (shifted, shifted.inverse())]
     image = render(CAMERA, VIEW_POSE, [*bodies, (table(), Pose.identity())])
-    plates = find_plates(View(CAMERA, VIEW_POSE, image.depth), np.isin(image.body_ids, (1, 2)), IDEAL)
+    plates = find_plates(View(CAMERA, VIEW_POSE, image.depth), np.isin(image.body_ids, (1, 2)), IDEAL.noise)
     assert len(plates) == 2
     assert sorted(round(float(plate.point[0]), 2) for plate in plates) == [-0.11, 0.11]
 
 
 def test_where_nothing_is_seen_no_plate_is_found() -> None:
     view, labels = pictured()
-    assert find_plates(view, labels == 9, IDEAL) == []
+    assert find_plates(view, labels == 9, IDEAL.noise) == []
 
 
 @pytest.mark.parametrize(("x", "y", "plate"), [(0.035, 0.0, True), (0.0, 0.0, True), (0.0, -0.16, False)])

@@ -12,6 +12,7 @@ from kit1000.perception.calibration import flattened, unbent
 from kit1000.perception.calibration.bending import table_residuals
 from kit1000.perception.calibration.plane import correlated_in, table_plane
 from kit1000.perception.restoration import calibrated_image
+from kit1000.perception.sensor_facts import simulated_sensor
 from kit1000.rng import stream
 from kit1000.sim.cameras import CAMERA
 from kit1000.values import LabelledDepth, View
@@ -22,6 +23,8 @@ BODY = np.s_[280:440, 560:720]
 LABELS = np.zeros((CAMERA.height, CAMERA.width), np.uint8)
 LABELS[BODY] = 1
 NOISE = 0.05  # [px]
+
+D415, SCANNER = simulated_sensor("d415"), simulated_sensor("photoneo")
 
 
 @pytest.fixture(scope="module")
@@ -94,15 +97,19 @@ def test_an_image_that_shows_hardly_any_table_stays_as_it_is(flat: View) -> None
 
 def test_a_plane_that_a_stereo_camera_bends_is_less_sure_than_a_scanner_s(flat: View) -> None:
     noisy = measured(flat, noise())
-    stereo, scanner = (table_plane(noisy, LABELS, correlated=correlated_in(name)) for name in ("d415", "photoneo"))
+    stereo, scanner = (
+        table_plane(noisy, LABELS, correlated=correlated_in(simulated_sensor(name))) for name in ("d415", "photoneo")
+    )
     assert stereo is not None
     assert scanner is not None
-    ratio = np.sqrt(correlated_in("d415") / correlated_in("photoneo"))
+    ratio = np.sqrt(correlated_in(D415) / correlated_in(SCANNER))
     assert stereo.spreads / scanner.spreads == pytest.approx(ratio)
     assert ratio > 10
 
 
 def test_images_of_stereo_cameras_alone_are_straightened(flat: View) -> None:
     bent = LabelledDepth(measured(flat, waves() + noise()), LABELS)
-    stereo, scanner = (error_on(calibrated_image(bent, name).view, flat, 1).mean() for name in ("d415", "photoneo"))
+    stereo, scanner = (
+        error_on(calibrated_image(bent, simulated_sensor(name)).view, flat, 1).mean() for name in ("d415", "photoneo")
+    )
     assert abs(stereo) < 0.5 * abs(scanner)

@@ -15,6 +15,7 @@ from kit1000.perception.calibration import OUTLINE, CameraEstimate, calibrated, 
 from kit1000.perception.calibration.borders import REACH, OutlineEdge, seen_borders
 from kit1000.perception.calibration.camera_pose import SPREADS, camera_estimate
 from kit1000.perception.calibration.plane import BENT, PLANE_REACH, table_plane
+from kit1000.perception.sensor_facts import simulated_sensor
 from kit1000.pose import Pose
 from kit1000.rng import stream
 from kit1000.sim.cameras import CAMERA
@@ -300,7 +301,7 @@ def test_edges_leave_less_of_a_motion_open_and_no_motion_nothing(corner: Labelle
 
 def test_the_spread_of_a_motion_moves_with_the_world(corner: LabelledDepth) -> None:
     motion, point = motion_over(CORNER, np.array((0.3, 0.2, 1.5)))
-    estimate = camera_estimate_by(corner.view, corner.labels, "d415")
+    estimate = camera_estimate_by(corner.view, corner.labels, simulated_sensor("d415"))
     world = Pose.from_rotvec((0.4, -0.3, 1.1), (0.5, -2.0, 0.3))
     view = View(estimate.view.camera, world @ estimate.view.world_from_camera, estimate.view.depth)
     moved = CameraEstimate(view, estimate.information).spread_of(world @ motion @ world.inverse(), world.apply(point))

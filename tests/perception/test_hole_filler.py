@@ -20,14 +20,17 @@ from kit1000.perception.restoration.disparity import depths
 from kit1000.perception.restoration.hole_filler import UNIT, HoleFiller, hole_evidence, holes
 from kit1000.perception.restoration.network import Mixture, RestorationConfig, RestorationNet
 from kit1000.perception.restoration.rules import closed_gaps
+from kit1000.perception.sensor_facts import simulated_sensor
 from kit1000.pose import Pose
-from kit1000.registration.method import Registration
+from kit1000.registration.predictor import Registration
 from kit1000.rng import stream
 from kit1000.values import LabelledDepth, View
 from kit1000.weights import WEIGHTS
 
 BODIES = range(1, 12)  # labels
 TINY = RestorationConfig(widths=(8, 8, 8, 8), level=True)
+
+SCANNER = simulated_sensor("photoneo")
 
 
 @pytest.fixture(scope="module")
@@ -53,23 +56,23 @@ def untrained(spread: float) -> HoleFiller:
 
 def test_nothing_but_holes_of_bodies_changes(filler: HoleFiller, scanned: LabelledDepth) -> None:
     before = scanned.view.depth.tobytes()
-    filled, empty = filler(scanned, "photoneo", BODIES).view.depth, holes(scanned)
+    filled, empty = filler(scanned, SCANNER, BODIES).view.depth, holes(scanned)
     assert scanned.view.depth.tobytes() == before
     assert 0 < empty.sum() < 0.2 * (scanned.labels > 0).sum()
     np.testing.assert_array_equal(filled[~empty], scanned.view.depth[~empty])
     assert 0.2 < (filled[empty] > 0).mean() < 1  # some stay unknown
-    assert filler(scanned, "photoneo", BODIES).view.depth.tobytes() == filled.tobytes()
+    assert filler(scanned, SCANNER, BODIES).view.depth.tobytes() == filled.tobytes()
 
 
 def test_an_image_without_holes_stays_as_it_is(filler: HoleFiller, exact: LabelledDepth) -> None:
     assert not holes(exact).any()
-    assert filler(exact, "photoneo", BODIES).view.depth.tobytes() == exact.view.depth.tobytes()
+    assert filler(exact, SCANNER, BODIES).view.depth.tobytes() == exact.view.depth.tobytes()
 
 
 def test_holes_are_filled_better_than_by_rules(
     filler: HoleFiller, exact: LabelledDepth, scanned: LabelledDepth
 ) -> None:
-    filled, rules = filler(scanned, "photoneo", BODIES).view.depth, closed_gaps(scanned).view.depth
+    filled, rules = filler(scanned, SCANNER, BODIES).view.depth, closed_gaps(scanned).view.depth
     both = holes(scanned) & (filled > 0) & (rules > 0)
     wrong, by_rules = (np.abs(depth - exact.view.depth)[both] for depth in (filled, rules))
     assert np.median(wrong) < min(1e-3, 0.7 * np.median(by_rules))
@@ -78,7 +81,7 @@ def test_holes_are_filled_better_than_by_rules(
 
 @pytest.mark.parametrize(("spread", "share"), [(-8.0, 1.0), (4.0, 0.0)])
 def test_a_hole_is_filled_where_the_network_is_sure(scanned: LabelledDepth, spread: float, share: float) -> None:
-    filled, empty = untrained(spread)(scanned, "photoneo", BODIES).view.depth, holes(scanned)
+    filled, empty = untrained(spread)(scanned, SCANNER, BODIES).view.depth, holes(scanned)
     assert (filled[empty] > 0).mean() == share
     if share:
         np.testing.assert_allclose(filled[empty], _first_estimate(scanned)[empty], rtol=1e-4)
@@ -94,8 +97,8 @@ def _first_estimate(image: LabelledDepth) -> np.ndarray:
 def test_the_world_may_move_on_its_table(filler: HoleFiller, scanned: LabelledDepth) -> None:
     moved = Pose.from_rotvec((0.0, 0.0, 2.1), (0.4, -1.3, 0.0)) @ scanned.view.world_from_camera
     elsewhere = replace(scanned, view=View(scanned.view.camera, moved, scanned.view.depth))
-    there = filler(elsewhere, "photoneo", BODIES).view.depth
-    here = filler(scanned, "photoneo", BODIES).view.depth
+    there = filler(elsewhere, SCANNER, BODIES).view.depth
+    here = filler(scanned, SCANNER, BODIES).view.depth
     both = (here > 0) & (there > 0)
     np.testing.assert_allclose(there[both], here[both], atol=5e-4)
     assert ((here > 0) != (there > 0)).mean() < 1e-4
@@ -153,5 +156,6 @@ def test_registration_fills_holes_of_scanners_alone(mini: Path) -> None:
     with_network, by_rules = Registration(dataset, hole_filling=WEIGHTS / "hole-filling"), Registration(dataset)
     for track, same in (("snap", True), ("snap-d415", True), ("snap-photoneo", False)):
         query = next(iter(dataset.split("val").queries(track)))
-        filled, left = (method.image_of(query).restored(2) for method in (with_network, by_rules))
-        assert (filled.view.depth.tobytes() == left.view.depth.tobytes()) == same
+        scenes = (method.scene(query) for method in (with_network, by_rules))
+        filled, left = (image.restored.view for scene in scenes for _, image in [next(scene.parts(query))] if image)
+        assert (filled.depth.tobytes() == left.depth.tobytes()) == same

@@ -11,12 +11,13 @@ from scipy.ndimage import distance_transform_edt
 
 from kit1000.camera import Camera, look_at
 from kit1000.mesh import Mesh
+from kit1000.perception.image_kinds import IDEAL
 from kit1000.perception.observed.filled_columns import ObservedColumns
 from kit1000.perception.observed.fusion import MaskedView
 from kit1000.perception.observed.kits import HALF_HEIGHT, ObservedKits
 from kit1000.perception.observed.kits import HALF_WIDTH as KIT_HALF_WIDTH
 from kit1000.perception.observed.parts import HALF_WIDTH, TABLE_MARGIN, ObservedPart
-from kit1000.perception.observed.pixels import IDEAL, cropped, subpixel_points
+from kit1000.perception.observed.pixels import cropped, subpixel_points
 from kit1000.pose import Pose
 from kit1000.sim.render import render
 from kit1000.values import ASSEMBLY_LABEL, LabelledDepth, View
@@ -89,7 +90,7 @@ def test_the_true_part_lies_between_what_is_certain_and_what_is_possible(
     bodies: tuple[Mesh, ...], world_from_camera: Pose
 ) -> None:
     part = observed_part(*bodies, world_from_camera=world_from_camera)
-    filled, sure, possible = part.evidence(VOXEL)
+    filled, sure, possible = part.bounds(VOXEL)
     np.testing.assert_array_equal(filled.values, part.volume(VOXEL).values)
     truth = signed_distance(filled.grid, [(body, Pose.identity()) for body in bodies], threads=1).values
     edge = VOXEL / (DEFAULT_TRUNCATION * VOXEL)  # pixels and voxels are decided by their centres
@@ -103,7 +104,7 @@ def test_the_true_part_lies_between_what_is_certain_and_what_is_possible(
 def test_free_space_is_measured_to_the_nearest_possible_voxel() -> None:
     """Up to the truncation, also beside the silhouette, where the image shows only that a ray passes."""
     part = observed_part(box(0.03, 0.02, 0.025), world_from_camera=FROM_ABOVE)
-    possible = part.evidence(VOXEL).possible
+    possible = part.bounds(VOXEL).possible
     exact = np.asarray(distance_transform_edt(possible.values >= 0)) * VOXEL
     within = (possible.values > 0) & (exact < 4e-3)
     found = possible.values[within] * DEFAULT_TRUNCATION * VOXEL
@@ -191,7 +192,7 @@ def observed_kits(body: trimesh.Trimesh, world_from_kit: Pose, world_from_camera
     bodies = [(box(2, 2, 0.1, at=(0, 0, -0.2)), Pose.identity()), (Mesh(body.vertices, body.faces), world_from_kit)]
     image = render(CAMERA, world_from_camera, bodies, 1)
     labels = np.where(image.body_ids == 2, ASSEMBLY_LABEL, 0).astype(np.uint8)
-    return ObservedKits(LabelledDepth(View(CAMERA, world_from_camera, image.depth), labels), IDEAL, "tray")
+    return ObservedKits(LabelledDepth(View(CAMERA, world_from_camera, image.depth), labels), IDEAL.noise, "tray")
 
 
 TILTED = Pose.from_rotvec((0.35, 0.2, 0.4), (0.01, -0.02, 0.03))

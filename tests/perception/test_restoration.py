@@ -16,6 +16,7 @@ from kit1000.camera import look_at
 from kit1000.mesh import Mesh
 from kit1000.perception.restoration import restored, restored_query
 from kit1000.perception.restoration.rules import GAP, close_gaps
+from kit1000.perception.sensor_facts import simulated_sensor
 from kit1000.pose import Pose
 from kit1000.rng import stream
 from kit1000.sim.cameras import CAMERA
@@ -26,6 +27,8 @@ from kit1000.values import LabelledDepth, Query, View
 
 CAMERA_POSE = look_at((0.25, 0.03, 0.6), (0.0, 0.03, 0.02))  # sees no edge of the table
 TOP, FLOOR = 0.05, 0.01  # [m] heights of a ring and of the block in it: 45 mm of depth along the ray, 2 px or more
+
+D415 = simulated_sensor("d415")
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +60,7 @@ def heights(image: LabelledDepth) -> np.ndarray:
 
 def test_an_ideal_image_is_not_touched(ring: LabelledDepth) -> None:
     query = query_of(ring, "ideal")
-    assert restored(ring, "ideal") is ring
+    assert restored(ring, simulated_sensor("ideal")) is ring
     assert restored_query(query) is query
 
 
@@ -65,19 +68,19 @@ def test_a_query_is_restored_once_and_keeps_all_else(ring: LabelledDepth) -> Non
     query = query_of(measured(ring, 0), "d415")
     there = restored_query(query)
     assert there.image is there.image
-    assert there.image.view.depth.tobytes() == restored(query.image, "d415").view.depth.tobytes()
+    assert there.image.view.depth.tobytes() == restored(query.image, D415).view.depth.tobytes()
     assert replace(there, read_image=query.read_image).read_image is query.read_image
     assert (there.id, there.sensor, there.guess) == (query.id, query.sensor, query.guess)
 
 
 def test_the_table_lies_on_its_plane(ring: LabelledDepth) -> None:
-    flat = restored(measured(ring, 0), "d415")
+    flat = restored(measured(ring, 0), D415)
     on_table = (ring.labels == 0) & (ring.view.depth > 0)
     assert np.abs(heights(flat)[on_table]).max() < 1e-6
 
 
 def test_an_exact_image_changes_only_in_front_of_its_jumps(ring: LabelledDepth) -> None:
-    exact = restored(ring, "d415")
+    exact = restored(ring, D415)
     changed = np.abs(exact.view.depth - ring.view.depth) > 3e-4
     reach = SENSORS["d415"].fattening_px
     top = (ring.labels == 1) & (heights(ring) > TOP - 1e-3)
@@ -94,7 +97,7 @@ def test_fattened_edges_return_to_where_they_are(ring: LabelledDepth) -> None:
     for seed in range(3):
         image = measured(ring, seed)
         lost.append(hidden_floor(ring, image, floor))
-        left.append(hidden_floor(ring, restored(image, "d415"), floor))
+        left.append(hidden_floor(ring, restored(image, D415), floor))
     assert np.mean(lost) > 2 * np.any(floor, axis=0).sum()  # two pixels on each column
     assert abs(np.mean(left)) < 0.5 * np.mean(lost)
 
@@ -113,7 +116,7 @@ def test_gaps_take_the_farther_side_and_wide_ones_stay(ring: LabelledDepth) -> N
     depth[row, first + 12 : first + 12 + GAP] = 0
     depth[row, last - 12 - 3 * GAP : last - 12] = 0
     holed = LabelledDepth(replace(image.view, depth=depth), image.labels)
-    closed = restored(holed, "d415").view.depth[row]
+    closed = restored(holed, D415).view.depth[row]
     assert (closed[first + 12 : first + 12 + GAP] > 0).all()
     assert (closed[last - 12 - 2 * GAP : last - 12 - GAP] == 0).all()
 
@@ -137,7 +140,7 @@ def test_a_moved_world_changes_nothing_in_the_image(ring: LabelledDepth) -> None
     image = measured(ring, 1)
     motion = Pose.from_rotvec((0, 0, 0.7), (0.1, -0.05, 0))
     moved = LabelledDepth(replace(image.view, world_from_camera=motion @ image.view.world_from_camera), image.labels)
-    here, there = restored(image, "d415").view, restored(moved, "d415").view
+    here, there = restored(image, D415).view, restored(moved, D415).view
     np.testing.assert_allclose(there.depth, here.depth, atol=2e-6)
     np.testing.assert_allclose((motion @ here.world_from_camera).xyz, there.world_from_camera.xyz, atol=1e-7)
 
@@ -145,7 +148,7 @@ def test_a_moved_world_changes_nothing_in_the_image(ring: LabelledDepth) -> None
 def test_two_runs_agree_to_the_bit_and_the_input_stays(ring: LabelledDepth) -> None:
     image = measured(ring, 2)
     before = image.view.depth.tobytes()
-    one, two = (restored(image, "d415").view.depth.tobytes() for _ in range(2))
+    one, two = (restored(image, D415).view.depth.tobytes() for _ in range(2))
     assert one == two
     assert image.view.depth.tobytes() == before
 
@@ -153,5 +156,5 @@ def test_two_runs_agree_to_the_bit_and_the_input_stays(ring: LabelledDepth) -> N
 def test_an_image_without_bodies_or_returns_passes(ring: LabelledDepth) -> None:
     nothing = LabelledDepth(ring.view, np.zeros_like(ring.labels))
     blind = LabelledDepth(replace(ring.view, depth=np.zeros_like(ring.view.depth)), ring.labels)
-    assert not restored(blind, "d415").view.depth[ring.labels > 0].any()
-    assert restored(nothing, "d415").view.depth.shape == ring.view.depth.shape
+    assert not restored(blind, D415).view.depth[ring.labels > 0].any()
+    assert restored(nothing, D415).view.depth.shape == ring.view.depth.shape

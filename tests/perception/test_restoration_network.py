@@ -31,14 +31,15 @@ from kit1000.perception.restoration.disparity import (
 from kit1000.perception.restoration.network import SIDE, Mixture, RestorationConfig, RestorationNet
 from kit1000.perception.restoration.restorer import DISPARITY_STEP, Restorer
 from kit1000.perception.restoration.rules import closed_gaps, restored_edges
-from kit1000.registration.method import Registration
+from kit1000.perception.sensor_facts import simulated_sensor
+from kit1000.registration.predictor import Registration
 from kit1000.rng import stream
 from kit1000.sim.cameras import CAMERA
 from kit1000.values import ASSEMBLY_LABEL, LabelledDepth
 from kit1000.weights import WEIGHTS
 
 TINY = RestorationConfig(widths=(8, 8, 8, 8))
-D415 = "d415"
+D415 = simulated_sensor("d415")
 
 
 @pytest.fixture(scope="module")

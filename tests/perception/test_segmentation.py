@@ -20,12 +20,14 @@ from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh
 from kit1000.metrics.segmentation import matched_masks, mean_iou
+from kit1000.perception.image_kinds import IDEAL
 from kit1000.perception.restoration.restorer import Restorer
 from kit1000.perception.segmentation.bodies import OF_LARGEST, find_bodies, world_points
 from kit1000.perception.segmentation.instances import segmented
 from kit1000.perception.segmentation.merging import area_of, best_pairs, gap_between, outline_of
-from kit1000.perception.segmentation.pieces import MOST_PIECES, SCALES, connected, find_pieces
+from kit1000.perception.segmentation.pieces import MOST_PIECES, connected, find_pieces
 from kit1000.perception.segmentation.predicted_masks import MASKS_WEIGHTS, with_predicted_masks
+from kit1000.perception.sensor_facts import simulated_sensor
 from kit1000.pose import Pose
 from kit1000.prediction.making import PREDICTED_MASKS, source_hash
 from kit1000.prediction.predict import predict
@@ -38,6 +40,8 @@ from kit1000.weights import WEIGHTS
 CAMERA = Camera(480, 360, 460.0, 460.0, 239.5, 179.5)
 EYE = look_at((0.45, -0.1, 0.5), (0.0, -0.05, 0.02))
 BOX = table().vertices / (1.2, 1.6, 0.04) + (0, 0, 1)  # 1 m wide, on z = 0
+
+D415 = simulated_sensor("d415")
 
 
 def box(x: float, y: float, size: tuple[float, float, float]) -> tuple[Mesh, Pose]:
@@ -78,11 +82,11 @@ def test_in_a_restored_image_a_body_is_what_the_sensor_saw_and_the_kits_are_one(
     assert 50 < is_crumb.sum() < OF_LARGEST * is_kit.sum()
     exact = SimpleNamespace(without_masks=lambda measured, sensor: image.view)  # a network that restores all of it
     measured = replace(image.view, depth=np.where(is_ghost, np.float32(0), image.view.depth))
-    found = find_bodies(measured, "d415", cast(Restorer, exact))
+    found = find_bodies(measured, D415, cast(Restorer, exact))
     assert found.parts[is_part].mean() > 0.95
     assert found.kits[is_kit].mean() > 0.95
     assert not (found.kits | found.parts)[is_ghost | is_crumb].any()
-    seen = find_bodies(image.view, "d415", cast(Restorer, exact))
+    seen = find_bodies(image.view, D415, cast(Restorer, exact))
     assert seen.parts[is_ghost].mean() > 0.95
 
 
@@ -115,7 +119,10 @@ def test_scenes_are_segmented_as_well_as_stated(mini: Path) -> None:
     scenes = [*Dataset(mini).split("train"), *Dataset(mini).split("test")][:8]
     for sensor, least in (("ideal", 0.95), ("d415", 0.3)):
         images = [scene_.labelled_depth(sensor) for scene_ in scenes if sensor in scene_.sensors]
-        assert np.mean([mean_iou(segmented(image.view, sensor), image.labels) for image in images]) > least
+        assert (
+            np.mean([mean_iou(segmented(image.view, simulated_sensor(sensor)), image.labels) for image in images])
+            > least
+        )
 
 
 def test_restored_images_are_segmented_better(mini: Path) -> None:
@@ -123,7 +130,7 @@ def test_restored_images_are_segmented_better(mini: Path) -> None:
     for scene_ in Dataset(mini).split("train"):
         if "d415" in scene_.sensors:
             image = scene_.labelled_depth("d415")
-            both = (segmented(image.view, "d415"), segmented(image.view, "d415", restorer=restorer))
+            both = (segmented(image.view, D415), segmented(image.view, D415, restorer=restorer))
             scores.append([mean_iou(found, image.labels) for found in both])
     plain, restored = np.mean(scores, axis=0)
     assert restored > plain + 0.03
@@ -146,7 +153,7 @@ def test_images_that_show_nothing_have_no_instance(sensor: str) -> None:
     noise = np.random.default_rng(0).uniform(0, 2, (360, 480)).astype(np.float32)
     empty = render(CAMERA, EYE, [(table(), Pose.identity())]).depth
     for depth in (np.zeros((360, 480), np.float32), empty, np.full((360, 480), 1e-6, np.float32), noise):
-        labels = segmented(View(CAMERA, EYE, depth), sensor)
+        labels = segmented(View(CAMERA, EYE, depth), simulated_sensor(sensor))
         assert labels.dtype == np.uint8
         assert labels.shape == depth.shape
         assert depth is not empty or not labels.any()
@@ -172,12 +179,12 @@ def test_of_very_many_pieces_the_largest_are_kept_in_their_order() -> None:
     depth[:, ::2] = 2.0  # every column is a piece of its own
     mask = np.ones(depth.shape, bool)
     mask[15, :30] = False  # which halves half of them
-    labels, joined = find_pieces(depth, mask, SCALES["ideal"])
+    labels, joined = find_pieces(depth, mask, IDEAL.segmentation)
     assert labels.max() == 90
     assert (np.unique(labels[mask]) == np.arange(1, 91)).all()
     assert not joined[1].any()
     rows = np.repeat(np.arange(3 * MOST_PIECES)[:, None], 13, axis=1)
-    many, _ = find_pieces(1.0 + rows % 2, rows >= 0, SCALES["ideal"])
+    many, _ = find_pieces(1.0 + rows % 2, rows >= 0, IDEAL.segmentation)
     assert many.max() == MOST_PIECES
     assert (np.diff(many[many > 0]) >= 0).all()
 

@@ -25,11 +25,12 @@ from kit1000.perception.segmentation.network import CentresConfig, CentresNet, V
 from kit1000.perception.segmentation.part_finder import PartFinder
 from kit1000.perception.segmentation.predicted_masks import MASKS_WEIGHTS
 from kit1000.perception.segmentation.votes import APART, gathered
+from kit1000.perception.sensor_facts import simulated_sensor
 from kit1000.pose import Pose
 from kit1000.values import FIRST_PART_LABEL, LabelledDepth
 from kit1000.weights import WEIGHTS
 
-D415 = "d415"
+D415 = simulated_sensor("d415")
 UNMASKED, FINDER = (WEIGHTS / stem for stem in MASKS_WEIGHTS)
 
 
@@ -41,7 +42,7 @@ def restorer() -> Restorer:
 @pytest.fixture(scope="module")
 def image(mini: Path) -> LabelledDepth:
     """A recorded image."""
-    return next(iter(Dataset(mini).split("val"))).labelled_depth(D415)
+    return next(iter(Dataset(mini).split("val"))).labelled_depth("d415")
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +79,7 @@ def test_too_few_votes_are_no_part() -> None:
 
 def test_a_scene_of_another_size_looks_alike_from_a_distance_in_proportion(mini: Path, restorer: Restorer) -> None:
     view = next(iter(Dataset(mini).split("val"))).view()
-    bodies = find_bodies(view, "ideal")
+    bodies = find_bodies(view, simulated_sensor("ideal"))
     pose = view.world_from_camera
     larger = replace(view, depth=view.depth * np.float32(1.6), world_from_camera=Pose(pose.wxyz, 1.6 * pose.xyz))
     one, other = (evidence_of(bodies._replace(view=each, measured=each)) for each in (view, larger))
@@ -133,8 +134,8 @@ def test_weights_of_another_network_are_refused(tmp_path: Path) -> None:
 def test_noisy_parts_are_told_apart(mini: Path, restorer: Restorer) -> None:
     finder, scores = PartFinder(FINDER), []
     for scene in Dataset(mini).split("train"):
-        if D415 in scene.sensors:
-            image = scene.labelled_depth(D415)
+        if "d415" in scene.sensors:
+            image = scene.labelled_depth("d415")
             scores.append(mean_iou(segmented(image.view, D415, 1.0, restorer, finder), image.labels))
     assert np.mean(scores) > 0.75
 

@@ -12,16 +12,14 @@ from kit1000.errors import InputError
 from kit1000.perception.calibration import OUTLINE, calibrated_by
 from kit1000.perception.calibration.borders import borders_of
 from kit1000.perception.calibration.table_top import flattened
+from kit1000.perception.image_kinds import D415, PHOTONEO, RESTORED
 from kit1000.perception.restoration import restored
 from kit1000.perception.segmentation.bodies import find_bodies
 from kit1000.perception.sensor_facts import (
     KEY,
     SensorFacts,
-    key_of,
-    model_of,
-    needs_restoring,
     sensor_of,
-    table_is_simulated,
+    simulated_sensor,
 )
 from kit1000.pose import Pose
 from kit1000.sim.layout import table
@@ -49,32 +47,25 @@ def test_facts_are_read_back_as_they_were_stored() -> None:
     assert sensor_of({KEY: {"photoneo": PHOXI.as_row()}}, "photoneo") == PHOXI
     earlier = {name: value for name, value in OWN.as_row().items() if name != "scanner"}
     assert sensor_of({KEY: {"d415": earlier}}, "d415") == OWN
-    assert sensor_of(summary, "ideal") == "ideal"
-    assert sensor_of({}, "d415") == "d415"
+    assert sensor_of(summary, "ideal") == simulated_sensor("ideal")
+    assert sensor_of({}, "d415") == simulated_sensor("d415") == SensorFacts()
     with pytest.raises(InputError, match="import again"):
         sensor_of({KEY: {"d415": {"colour": "blue"}}}, "d415")
 
 
-def test_a_model_has_the_facts_and_a_name_its_own_model() -> None:
-    assert model_of("d415") is SENSORS["d415"]
-    assert model_of(OWN).baseline == 0.05
-    assert table_is_simulated("d415")
-    assert not table_is_simulated(OWN)
-
-
 def test_borders_are_those_that_the_image_shows() -> None:
-    assert borders_of("d415") == OUTLINE
-    assert borders_of(OWN) == ()
-    assert borders_of("photoneo") == ()
     assert borders_of(SensorFacts()) == OUTLINE
-    assert borders_of(PHOXI) == ()
+    assert [borders_of(sensor) for sensor in (OWN, simulated_sensor("photoneo"), PHOXI)] == [(), (), ()]
 
 
-def test_an_own_scanner_is_read_as_the_simulated_one(view: View) -> None:
-    assert [key_of(sensor) for sensor in ("ideal", "photoneo", OWN, PHOXI)] == ["ideal", "photoneo", "d415", "photoneo"]
-    assert [needs_restoring(sensor) for sensor in ("ideal", "photoneo", OWN, PHOXI)] == [False, False, True, False]
-    assert replace(model_of(PHOXI), baseline=0.0) == replace(SENSORS["photoneo"], baseline=0.0)
-    assert find_bodies(view, PHOXI).kind == "photoneo"
+def test_the_kind_of_an_image_follows_from_the_facts_of_its_sensor(view: View) -> None:
+    simulated = [simulated_sensor(name) for name in SENSORS]
+    assert [sensor.kind.name for sensor in simulated] == list(SENSORS)
+    assert [sensor.kind for sensor in (OWN, PHOXI)] == [D415, PHOTONEO]
+    assert [sensor.kind.exact for sensor in simulated] == [True, False, False]
+    assert D415.best is RESTORED
+    assert PHOTONEO.best is PHOTONEO
+    assert find_bodies(view, PHOXI).kind is PHOTONEO
 
 
 def test_holes_on_kits_of_a_scanner_stay_and_those_on_parts_are_closed(view: View) -> None:

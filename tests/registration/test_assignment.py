@@ -15,18 +15,20 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from kit1000.dataset.reader import Dataset
+from kit1000.perception.image_kinds import IDEAL
 from kit1000.pose import Pose
-from kit1000.registration.choice.assignment import APART, DOUBTFUL, RIGHT, assigned, least_misfits, plate_posterior
-from kit1000.registration.choice.fits import Fit, ranked
-from kit1000.registration.geometry.observed_cavity import Cavity
-from kit1000.registration.method import Registration
+from kit1000.registration.geometry.cavity import Cavity
+from kit1000.registration.method import FitSearch
+from kit1000.registration.predictor import Registration
+from kit1000.registration.rank import APART, DOUBTFUL, Fit, assigned, least_costs, plate_posterior, ranked
 from kit1000.sim.layout import UPRIGHT_SHARE
-from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, Query
+from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL
 
 ODDS = st.tuples(st.integers(1, 4), st.integers(1, 4)).flatmap(
     lambda shape: arrays(float, shape, elements=st.floats(-8, 8))
 )
-HALF, SPREAD = RIGHT["ideal"]
+CURVE = IDEAL.right_plate
+HALF, SPREAD = CURVE.half, CURVE.spread
 REGION = np.ones((3, 3), bool)
 
 
@@ -35,10 +37,10 @@ def cavity(x: float) -> Cavity:
     return cast(Cavity, SimpleNamespace(world_from_plate=Pose.from_translation((x, 0.0, 0.0)), region=REGION))
 
 
-def fit(x: float, misfit: float) -> Fit:
+def fit(x: float, cost: float) -> Fit:
     """One in the plate at an x [m]."""
     candidate: Any = SimpleNamespace(cavity=cavity(x))
-    return Fit(Pose.from_translation((x, 0.0, 0.0)), misfit, misfit, candidate)
+    return Fit(Pose.from_translation((x, 0.0, 0.0)), cost, cost, candidate)
 
 
 def plates(fits: list[Fit]) -> list[float]:
@@ -70,17 +72,17 @@ def test_the_order_of_other_parts_and_of_plates_does_not_matter(odds: np.ndarray
 
 def test_a_plate_that_another_part_fits_far_better_is_left_to_it() -> None:
     fits = ranked([fit(0.0, HALF - SPREAD), fit(0.1, HALF - 0.5 * SPREAD)])
-    assert plates(assigned(fits, [], "ideal")) == [0.0, 0.1]
+    assert plates(assigned(fits, [], CURVE)) == [0.0, 0.1]
     other = [fit(0.0, HALF - 6 * SPREAD), fit(0.1, HALF + 6 * SPREAD)]
-    assert plates(assigned(fits, [other], "ideal")) == [0.1, 0.0]
-    assert plates(assigned(fits, [[fit(0.5, 0.0)]], "ideal")) == [0.0, 0.1]  # in a plate of its own
+    assert plates(assigned(fits, [other], CURVE)) == [0.1, 0.0]
+    assert plates(assigned(fits, [[fit(0.5, 0.0)]], CURVE)) == [0.0, 0.1]  # in a plate of its own
 
 
 def test_a_part_that_fits_nowhere_says_nothing() -> None:
     fits = ranked([fit(0.0, HALF - SPREAD), fit(0.1, HALF - 0.5 * SPREAD)])
-    assert plates(assigned(fits, [[]], "ideal")) == [0.0, 0.1]
+    assert plates(assigned(fits, [[]], CURVE)) == [0.0, 0.1]
     bad = [fit(0.0, HALF + 20 * SPREAD), fit(0.1, HALF + 20 * SPREAD)]
-    assert plates(assigned(fits, [bad], "ideal")) == [0.0, 0.1]
+    assert plates(assigned(fits, [bad], CURVE)) == [0.0, 0.1]
 
 
 @pytest.mark.parametrize("fits", [[], [fit(0.0, 1e-3)], [fit(0.0, 1e-3), fit(0.1, 1.1e-3 + DOUBTFUL)]])
@@ -89,39 +91,40 @@ def test_other_parts_are_not_asked_where_the_plate_is_clear(fits: list[Fit]) -> 
         raise AssertionError("asked")
         yield []
 
-    assert assigned(fits, others(), "ideal") == fits
+    assert assigned(fits, others(), CURVE) == fits
 
 
 def test_all_fits_of_the_chosen_plate_come_first_each_in_its_order() -> None:
     fits = ranked([fit(0.0, 1.0e-3), fit(0.1, 1.1e-3), fit(0.0, 1.2e-3), fit(0.1, 1.3e-3)])
     other = [fit(0.0, HALF - 6 * SPREAD), fit(0.1, HALF + 6 * SPREAD)]
-    found = assigned(fits, [other], "ideal")
-    assert [round(1e4 * each.misfit) for each in found] == [11, 13, 10, 12]
+    found = assigned(fits, [other], CURVE)
+    assert [round(1e4 * each.cost) for each in found] == [11, 13, 10, 12]
 
 
-def test_a_place_asks_about_the_other_parts_of_its_image_and_a_snap_does_not(
+def test_a_place_searches_the_other_parts_of_its_image_and_a_snap_does_not(
     mini: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked: list[tuple[int, int]] = []
+    searched: list[int] = []
 
-    def fits(self: Registration, query: Query, image: object, thorough: bool = True) -> list[Fit]:
-        asked.append((query.part, int(query.image.labels[query.part_mask].max(initial=0))))
-        return [fit(0.0, HALF - 0.1 * query.part * SPREAD), fit(0.1, HALF)]
+    def fits(self: FitSearch) -> list[Fit]:
+        part = self.part.query.part
+        searched.append(part)
+        return [fit(0.0, HALF - 0.1 * part * SPREAD), fit(0.1, HALF)]
 
-    monkeypatch.setattr(Registration, "certain_fits", fits)
+    monkeypatch.setattr(FitSearch, "first_fits", fits)
+    monkeypatch.setattr(FitSearch, "all_fits", fits)
     data = Dataset(mini)
     scenes = [scene for split in ("train", "val", "test") for scene in data.split(split)]
     for track in ("place", "snap"):
         query = next(query for scene in scenes for query in scene.queries if query.track == track)
-        asked.clear()
+        searched.clear()
         Registration(data).fits(query)
         shown = set(np.unique(query.image.labels).tolist()) - {0, ASSEMBLY_LABEL} if track == "place" else set()
-        assert {label for _, label in asked} == shown | {FIRST_PART_LABEL + query.part}
-        assert asked[0][0] == query.part
-        assert all(label == FIRST_PART_LABEL + part for part, label in asked)
+        assert {FIRST_PART_LABEL + part for part in searched} == shown | {FIRST_PART_LABEL + query.part}
+        assert searched[0] == query.part
 
 
 def test_a_cavity_is_found_again_within_a_part_of_the_width_of_a_plate() -> None:
     middles = [np.zeros(3), np.array([0.1, 0.0, 0.0])]
     found = [fit(0.1 + 0.5 * APART, 2e-3), fit(0.1, 3e-3), fit(0.3, 1e-3)]
-    np.testing.assert_array_equal(least_misfits(found, middles), [np.inf, 2e-3])
+    np.testing.assert_array_equal(least_costs(found, middles), [np.inf, 2e-3])

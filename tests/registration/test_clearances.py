@@ -14,7 +14,7 @@ from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.metrics import Targets, pose_errors
 from kit1000.pose import Pose
-from kit1000.registration.method import UNKNOWN, Registration, stated_clearances
+from kit1000.registration.predictor import USUAL_CLEARANCES, Registration, stated_clearances
 
 
 def dataset_with(config: dict[str, Any] | None) -> Dataset:
@@ -25,8 +25,8 @@ def dataset_with(config: dict[str, Any] | None) -> Dataset:
 def test_what_is_tried_is_what_is_stated_or_all_that_kits_usually_have() -> None:
     assert stated_clearances(dataset_with({"clearance": 0.01})) == (0.01,)
     for config in ({}, {"clearance": None}, None):
-        assert stated_clearances(dataset_with(config)) == UNKNOWN
-    assert list(UNKNOWN) == sorted(UNKNOWN)
+        assert stated_clearances(dataset_with(config)) == USUAL_CLEARANCES
+    assert list(USUAL_CLEARANCES) == sorted(USUAL_CLEARANCES)
 
 
 @pytest.mark.parametrize("value", ["2.5", 2.5, 0, -1e-3, True, [2.5e-3], float("nan")])

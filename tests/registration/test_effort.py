@@ -14,9 +14,9 @@ from kit1000.dataset.reader import Dataset
 from kit1000.perception.observed.parts import HALF_WIDTH, ObservedPart
 from kit1000.pose import Pose
 from kit1000.queries.pivots import part_pivots
-from kit1000.registration.choice.from_evidence import MOST_TRIED
-from kit1000.registration.method import Registration
-from kit1000.registration.search.effort import LARGEST, OTHERS, affordable, tries_of, work_of
+from kit1000.registration.method import MOST_TRIED
+from kit1000.registration.predictor import Registration
+from kit1000.registration.search import LARGEST, OTHERS, affordable, tries_of, work_of
 from kit1000.values import FIRST_PART_LABEL, LabelledDepth
 
 widths = st.floats(0.01, 0.5)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kit1000.perception.observed.pixels import IDEAL
+from kit1000.perception.image_kinds import IDEAL
 from kit1000.perception.observed.plates import Plane, without_nested
 from kit1000.pose import Pose
 from kit1000.registration.geometry.faces import right_angled, squared
@@ -67,4 +67,4 @@ def test_a_slope_within_a_plate_is_none_and_one_beside_it_is(pose: Pose, tilt: f
     patches = [square(pose @ place, half) for place, half in zip(places, (0.04, 0.015, 0.03), strict=True)]
     points, normals = (np.concatenate(both) for both in zip(*patches, strict=True))
     planes = [Plane((pose @ place).rotate(UP), (pose @ place).xyz, 1.0) for place in places]
-    assert without_nested(planes, points, normals, IDEAL) == [planes[0], planes[2]]
+    assert without_nested(planes, points, normals, IDEAL.noise) == [planes[0], planes[2]]

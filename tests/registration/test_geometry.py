@@ -12,14 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kit1000.mesh import Mesh, solid_from_mesh
-from kit1000.perception.observed.pixels import IDEAL
+from kit1000.perception.image_kinds import IDEAL
 from kit1000.perception.observed.plates import Plane, find_planes, plane_frame
 from kit1000.pose import Pose
 from kit1000.queries.guesses import MAX_ANGLE, MAX_OFFSET
 from kit1000.queries.motions import apply_error
+from kit1000.registration.geometry.cavity import VOXEL, find_cavity, plate_grid
 from kit1000.registration.geometry.faces import standing_faces
-from kit1000.registration.geometry.observed_cavity import VOXEL, find_cavity, plate_grid
-from kit1000.registration.search.correlation import (
+from kit1000.registration.search import (
     DEPTH_TOLERANCE,
     DUPLICATE_DISTANCE,
     YAW_STEP,
@@ -63,7 +63,7 @@ def walls_of(mesh: Mesh, height: float, points: np.ndarray) -> np.ndarray:
 def test_a_cavity_is_found_in_its_place_and_shape(pose: Pose) -> None:
     kit = ell_kit().kit()
     volume, world_from_plate = on_a_plate(kit.mesh, pose)
-    cavity = find_cavity(volume, world_from_plate, 0.5e-3)
+    cavity = find_cavity(volume, world_from_plate, IDEAL.noise)
     assert cavity is not None
     assert cavity.depth == pytest.approx(kit.slot.depth, abs=0.1e-3)
     cells = columns(VOXEL, len(cavity.region))
@@ -72,13 +72,13 @@ def test_a_cavity_is_found_in_its_place_and_shape(pose: Pose) -> None:
     assert cavity.region[on_plate][gap > VOXEL].all()
     assert not cavity.region[on_plate][gap < -VOXEL].any()
     assert not cavity.region[~on_plate].any()
-    np.testing.assert_allclose(cavity.relief[on_plate][gap > VOXEL], -kit.slot.depth, atol=0.05e-3)
-    np.testing.assert_allclose(cavity.relief[on_plate][gap < -VOXEL], 0, atol=0.05e-3)
+    np.testing.assert_allclose(cavity.heights[on_plate][gap > VOXEL], -kit.slot.depth, atol=0.05e-3)
+    np.testing.assert_allclose(cavity.heights[on_plate][gap < -VOXEL], 0, atol=0.05e-3)
 
 
 def test_points_of_a_cavity_lie_on_its_walls_and_floor() -> None:
     kit = ell_kit().kit()
-    cavity = find_cavity(*on_a_plate(kit.mesh, TILTED), 0.5e-3)
+    cavity = find_cavity(*on_a_plate(kit.mesh, TILTED), IDEAL.noise)
     assert cavity is not None
     beside = np.abs(walls_of(kit.mesh, -kit.slot.depth / 2, cavity.points[:, :2]))
     beneath = np.abs(cavity.points[:, 2] + kit.slot.depth)
@@ -91,7 +91,7 @@ def test_points_of_a_cavity_lie_on_its_walls_and_floor() -> None:
 @pytest.mark.parametrize("family", ["bracket", "tee"])
 def test_a_generated_kit_has_its_depth(family: str) -> None:
     kit = sample_kit(family)
-    cavity = find_cavity(*on_a_plate(kit.mesh, TILTED, 0.144), 0.5e-3)
+    cavity = find_cavity(*on_a_plate(kit.mesh, TILTED, 0.144), IDEAL.noise)
     assert cavity is not None
     assert cavity.depth == pytest.approx(kit.slot.depth, abs=VOXEL)
     gap = walls_of(kit.mesh, -2e-3, np.argwhere(cavity.region) * VOXEL - (len(cavity.region) - 1) / 2 * VOXEL)
@@ -100,7 +100,7 @@ def test_a_generated_kit_has_its_depth(family: str) -> None:
 
 def test_a_plate_without_a_cavity_has_none() -> None:
     plate = cuboid(np.array([99e-3, 99e-3, 22e-3]))
-    assert find_cavity(*on_a_plate(plate, IDENTITY, offset=Pose.from_translation((0, 0, 11e-3))), 0.5e-3) is None
+    assert find_cavity(*on_a_plate(plate, IDENTITY, offset=Pose.from_translation((0, 0, 11e-3))), IDEAL.noise) is None
 
 
 def test_a_hidden_part_of_the_face_is_no_cavity() -> None:
@@ -108,24 +108,24 @@ def test_a_hidden_part_of_the_face_is_no_cavity() -> None:
     volume, world_from_plate = on_a_plate(plate, IDENTITY, offset=Pose.from_translation((0, 0, 11e-3)))
     values = volume.values.copy()
     values[40:60, 50:80, :26] = np.nan
-    assert find_cavity(Volume(volume.grid, values), world_from_plate, 0.5e-3) is None
+    assert find_cavity(Volume(volume.grid, values), world_from_plate, IDEAL.noise) is None
 
 
 def test_a_cavity_with_a_hidden_floor_is_as_large_and_as_deep() -> None:
     """Everything from 5 mm down is hidden in half of the columns."""
     kit = ell_kit().kit()
     volume, world_from_plate = on_a_plate(kit.mesh, TILTED)
-    whole = find_cavity(volume, world_from_plate, 0.5e-3)
+    whole = find_cavity(volume, world_from_plate, IDEAL.noise)
     values = volume.values.copy()
     values[:60, :, :20] = np.nan
-    half = find_cavity(Volume(volume.grid, values), world_from_plate, 0.5e-3)
+    half = find_cavity(Volume(volume.grid, values), world_from_plate, IDEAL.noise)
     assert whole is not None
     assert half is not None
     hidden = half.region & (np.arange(len(half.region)) < 60)[:, None]
-    assert np.isnan(half.relief[hidden & whole.region]).all()
+    assert np.isnan(half.heights[hidden & whole.region]).all()
     np.testing.assert_allclose(half.free[hidden], -4e-3, atol=VOXEL)  # free down to there
     np.testing.assert_array_equal(half.region, whole.region)
-    np.testing.assert_array_equal(half.relief[60:], whole.relief[60:])
+    np.testing.assert_array_equal(half.heights[60:], whole.heights[60:])
     assert half.depth == pytest.approx(whole.depth, abs=0.1e-3)
 
 
@@ -153,7 +153,7 @@ def test_planes_are_plates_and_neither_floors_nor_walls(seed: int) -> None:
     floors = [PLATES[i] @ Pose.from_translation((0.01, 0.0, -0.01)) for i in (0, 1)]
     patches = [patch(pose, 0.09, rng) for pose in [*PLATES, wall, under]] + [patch(pose, 0.03, rng) for pose in floors]
     points, normals = (np.concatenate(both) for both in zip(*patches, strict=True))
-    planes = find_planes(points, normals, 1e-6, IDEAL, rng)
+    planes = find_planes(points, normals, 1e-6, IDEAL.noise, rng)
     assert len(planes) == len(PLATES)
     for pose in PLATES:
         up = pose.rotate(np.array([0.0, 0.0, 1.0]))
@@ -164,7 +164,7 @@ def test_planes_are_plates_and_neither_floors_nor_walls(seed: int) -> None:
 
 
 def test_without_points_there_is_no_plate() -> None:
-    assert find_planes(np.zeros((0, 3)), np.zeros((0, 3)), 1e-6, IDEAL, np.random.default_rng(0)) == []
+    assert find_planes(np.zeros((0, 3)), np.zeros((0, 3)), 1e-6, IDEAL.noise, np.random.default_rng(0)) == []
 
 
 @given(tilt=st.floats(0, 0.8), azimuth=st.floats(0, 6.3), above=st.tuples(*[st.floats(-0.2, 0.2)] * 3))
@@ -269,14 +269,14 @@ def test_without_a_guess_all_yaws_are_searched(now: Pose) -> None:
 @settings(max_examples=30)
 def test_kept_candidates_are_no_duplicates_and_the_others_are(seed: int, most: int) -> None:
     rng = np.random.default_rng(seed)
-    plate = find_cavity(*on_a_plate(ell_kit().kit().mesh, IDENTITY), 0.5e-3)
+    plate = find_cavity(*on_a_plate(ell_kit().kit().mesh, IDENTITY), IDEAL.noise)
     assert plate is not None
     cavities = [plate, replace(plate, depth=plate.depth + 4e-3)]
     pivot = np.array([0.3, 0.2, 0.1])
     found = []
     for k in range(25):
         error = apply_error(IDENTITY, pivot, rng.uniform(-4e-3, 4e-3, 3), rng.normal(0, 0.08, 3))
-        found.append(Candidate(cavities[rng.integers(2)], error, UP, 0.0, float(k)))
+        found.append(Candidate(cavities[rng.integers(2)], error, UP, float(k)))
     kept = without_duplicates(found, pivot, most)
 
     def near(a: Candidate, b: Candidate) -> bool:
@@ -291,7 +291,7 @@ def test_kept_candidates_are_no_duplicates_and_the_others_are(seed: int, most: i
 
     assert kept[0] is found[0]
     assert len(kept) <= most
-    assert [c.misfit for c in kept] == sorted(c.misfit for c in kept)
+    assert [c.cost for c in kept] == sorted(c.cost for c in kept)
     for i, one in enumerate(kept):
         assert not any(near(one, other) for other in kept[:i])
     if len(kept) < most:

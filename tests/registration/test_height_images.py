@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
-from kit1000.registration.geometry.height_images import RADIUS, dilated, lower_envelope, read_value
+from kit1000.registration.geometry.height_maps import RADIUS, dilated, lower_envelope, read_value
 from kit1000.voxels import Grid, signed_distance
 from tests.samples.registration_cases import SIZE, columns, cuboid, volume_of
 from tests.samples.strategies import poses, quaternions

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from kit1000.camera import Camera
 from kit1000.pose import Pose
-from kit1000.registration.inputs.hidden_outline import WIDTH, hidden_outline
+from kit1000.registration.part_volume import RING, hidden_outline
 from kit1000.values import LabelledDepth, View
 
 TABLE, PART, OTHER = 0, 2, 3
@@ -32,8 +32,8 @@ def scene(beside: float, columns: slice = slice(LAST, SIDE)) -> LabelledDepth:
 
 def test_a_body_nearer_along_one_side_hides_its_share_of_the_ring() -> None:
     side = LAST - FIRST
-    ring = (side + 2 * WIDTH) ** 2 - side**2
-    assert hidden_outline(scene(NEAR), PART) == pytest.approx((side + 2 * WIDTH) * WIDTH / ring)
+    ring = (side + 2 * RING) ** 2 - side**2
+    assert hidden_outline(scene(NEAR), PART) == pytest.approx((side + 2 * RING) * RING / ring)
 
 
 @pytest.mark.parametrize("beside", [FAR, 0.85, 0.0])

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kit1000.pose import Pose
-from kit1000.registration.refinement.image_residuals import ImageFit, refine_in_image
-from kit1000.registration.search.correlation import Candidate
+from kit1000.registration.image_refine import ImageFit, refine_in_image
+from kit1000.registration.search import Candidate
 from kit1000.values import LabelledDepth
 from kit1000.voxels import Volume
 from tests.samples.registration_cases import CASES, CLEARANCE, Case, case
@@ -73,7 +73,7 @@ def test_the_world_may_be_elsewhere() -> None:
     found = refine_in_image(LabelledDepth(view, image.labels), GAIN, part, pivot, there, CLEARANCE)
     assert found is not None
     np.testing.assert_allclose((found.plate_from_now @ move).matrix(), here.plate_from_now.matrix(), atol=2e-5)
-    assert found.spread == pytest.approx(here.spread, rel=0.02)
+    assert found.spread() == pytest.approx(here.spread(), rel=0.02)
 
 
 @pytest.mark.parametrize("name", ["an L"])
@@ -82,13 +82,13 @@ def test_places_scatter_as_the_spread_says(name: str) -> None:
     found = [found_in(image_of(name, 35.0, NOISE, seed), case(name), start) for seed in range(16)]
     places = np.array([fit.plate_from_now.apply(case(name).pivot)[:2] for fit in found])
     scatter = np.sqrt(np.linalg.eigvalsh(np.cov(places.T)).max())
-    spread = np.median([fit.spread for fit in found])
+    spread = np.median([fit.spread() for fit in found])
     assert spread / 2.5 < scatter < 2.5 * spread
 
 
 def test_the_spread_grows_with_the_noise() -> None:
     start = moved(case("an L"), 0.0, 0.0, 0.0)
-    spreads = [found_in(image_of("an L", 35.0, noise_px), case("an L"), start).spread for noise_px in (0.1, 0.3, 0.6)]
+    spreads = [found_in(image_of("an L", 35.0, noise_px), case("an L"), start).spread() for noise_px in (0.1, 0.3, 0.6)]
     assert spreads == sorted(spreads)
     assert spreads[0] < 0.5 * spreads[2]
 
@@ -100,7 +100,7 @@ def test_the_image_agrees_with_the_goal_best(name: str) -> None:
     goal, other = (found_in(image, known, moved(known, *move)) for move in ((0, 0, 0), (8, 8, 40)))
     start = moved(known, 0, 0, 0)
     lower = found_in(image, known, replace(start, plate_from_now=deep @ start.plate_from_now))
-    assert 0 <= goal.misfit < min(other.misfit, lower.misfit) <= 1
+    assert 0 <= goal.cost() < min(other.cost(), lower.cost()) <= 1
 
 
 @pytest.mark.parametrize("what", ["no kit", "no return", "elsewhere"])

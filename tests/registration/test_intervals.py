@@ -10,45 +10,47 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
 
-from kit1000.perception.observed.parts import PartEvidence
+from kit1000.perception.image_kinds import IDEAL
+from kit1000.perception.observed.parts import PartBounds
 from kit1000.pose import Pose
-from kit1000.registration.geometry.observed_cavity import BELOW, VOXEL, find_cavity
-from kit1000.registration.geometry.swept_slices import CELL, envelope_about
-from kit1000.registration.refinement.interval_residuals import (
+from kit1000.registration.contradictions import MOST, TOLERANCE, KitHeights, contradictions
+from kit1000.registration.geometry.cavity import BELOW, VOXEL, find_cavity
+from kit1000.registration.geometry.sweeps import CELL, envelope_about
+from kit1000.registration.refine import (
+    MAX_RESIDUAL,
     IntervalProblem,
+    clipped_rms,
     distance_outside,
     floor_is_seen,
     refine_within,
     sweeps_of,
 )
-from kit1000.registration.refinement.walls import MAX_RESIDUAL, Problem, clipped_rms, refine
-from kit1000.registration.search.contradictions import MOST, TOLERANCE, KitHeights, contradictions
-from kit1000.voxels import Volume, surface_points
-from tests.samples.registration_cases import CASES, CLEARANCE, Case, case, known_cavity, perturbed
+from kit1000.voxels import Volume
+from tests.samples.registration_cases import CASES, CLEARANCE, Case, case, known_cavity, known_shape, perturbed
 
 NUMBERS = st.floats(-1, 1)
+SCALES = (4e-3, 2e-3, 1e-3, 0.5e-3)  # [m] of robust weights
 
 
-def told(volume: Volume) -> PartEvidence:
-    """Evidence that leaves nothing unknown."""
-    return PartEvidence(volume, volume, volume)
+def exact(volume: Volume) -> PartBounds:
+    """Bounds that leave nothing unknown."""
+    return PartBounds(volume, volume, volume)
 
 
-def untold(volume: Volume) -> PartEvidence:
-    """Evidence that makes nothing certain: no voxel is surely solid, all are possible."""
+def unknown(volume: Volume) -> PartBounds:
+    """Bounds that make nothing certain: no voxel is surely solid, all are possible."""
     nothing, all_of_it = np.ones(volume.values.shape, np.float32), -np.ones(volume.values.shape, np.float32)
-    return PartEvidence(volume, Volume(volume.grid, nothing), Volume(volume.grid, all_of_it))
+    return PartBounds(volume, Volume(volume.grid, nothing), Volume(volume.grid, all_of_it))
 
 
 # contradictions
 
 
-def contradictions_at(known: Case, motion: Pose, evidence: PartEvidence | None = None) -> tuple[float, float]:
+def contradictions_at(known: Case, motion: Pose, bounds: PartBounds | None = None) -> tuple[float, float]:
     """[mm] free space in the part and part in the kit, the part moved in the plate's frame from its goal."""
     pose = motion @ known.candidate(known.goal).plate_from_now
-    seen = surface_points(known.part)[::20]
     kit = KitHeights.of(known.cavity, CLEARANCE)
-    found = contradictions(told(known.part) if evidence is None else evidence, seen, kit, pose)
+    found = contradictions(known_shape(known.part, known.pivot, bounds), kit, pose)
     return found.free_in_part * 1e3, found.part_in_kit * 1e3
 
 
@@ -77,13 +79,13 @@ def test_a_part_too_low_is_in_the_kit_and_one_too_high_leaves_it_empty(name: str
 
 def test_what_is_unknown_contradicts_nothing() -> None:
     known = case("an L")
-    free, _ = contradictions_at(known, Pose.from_translation((8e-3, 0, 0)), untold(known.part))
+    free, _ = contradictions_at(known, Pose.from_translation((8e-3, 0, 0)), unknown(known.part))
     assert free == 0
-    n = known.cavity.relief.shape
-    hidden = replace(known.cavity, certain_relief=np.full(n, np.nan), certain_free=np.full(n, 4e-3))
+    n = known.cavity.heights.shape
+    hidden = replace(known.cavity, certain_heights=np.full(n, np.nan), certain_free=np.full(n, 4e-3))
     kit = KitHeights.of(hidden, CLEARANCE)
     pose = Pose.from_translation((8e-3, 0, 0)) @ known.candidate(known.goal).plate_from_now
-    found = contradictions(told(known.part), surface_points(known.part)[::20], kit, pose)
+    found = contradictions(known_shape(known.part, known.pivot), kit, pose)
     assert found.part_in_kit < 0.1e-3  # the region may be as deep as it is, the rest deeper
     assert found.free_in_part == 0
 
@@ -91,28 +93,28 @@ def test_what_is_unknown_contradicts_nothing() -> None:
 @given(st.integers(0, 2**32 - 1))
 def test_the_depth_of_points_in_the_kit_is_that_of_brute_force(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    relief = np.where(rng.random((20, 20)) < 0.5, 0.0, rng.uniform(-0.01, -0.003, (20, 20)))
-    kit = KitHeights.of(known_cavity(relief), CLEARANCE)
+    heights = np.where(rng.random((20, 20)) < 0.5, 0.0, rng.uniform(-0.01, -0.003, (20, 20)))
+    kit = KitHeights.of(known_cavity(heights), CLEARANCE)
     points = rng.uniform(-0.012, 0.012, (40, 3))
     volume = case("an L").part
-    found = contradictions(told(volume), points, kit, Pose.identity()).part_in_kit
+    found = contradictions(replace(known_shape(volume, np.zeros(3)), points=points), kit, Pose.identity()).part_in_kit
     total = 0.0
     for x, y, z in points:
         i, j = round(x / 1e-3 + 9.5), round(y / 1e-3 + 9.5)
         if max(abs(x), abs(y)) <= 9.5e-3:
-            total += min(max(relief[i, j] - z - TOLERANCE, 0), MOST)
+            total += min(max(heights[i, j] - z - TOLERANCE, 0), MOST)
     assert found == pytest.approx(total / len(points), abs=1e-15)
 
 
 def test_a_shrunk_cavity_lies_one_clearance_within() -> None:
     """Its cells are those farther than the clearance from everything outside, to half a cell."""
-    relief = np.zeros((40, 40))
-    relief[8:30, 10:34] = -0.01
-    kit = KitHeights.of(known_cavity(relief), CLEARANCE)
+    heights = np.zeros((40, 40))
+    heights[8:30, 10:34] = -0.01
+    kit = KitHeights.of(known_cavity(heights), CLEARANCE)
     cells = np.rint(kit.must_fill[:, :2] / 1e-3 + 19.5).astype(int)
-    found = np.zeros(relief.shape, bool)
+    found = np.zeros(heights.shape, bool)
     found[tuple(cells.T)] = True
-    np.testing.assert_array_equal(found, np.asarray(distance_transform_edt(relief < 0)) > 3)
+    np.testing.assert_array_equal(found, np.asarray(distance_transform_edt(heights < 0)) > 3)
     np.testing.assert_allclose(kit.must_fill[:, 2], -0.01)
     np.testing.assert_array_equal(kit.span, 0)
 
@@ -121,16 +123,16 @@ def test_a_jump_behind_a_near_rim_is_no_certain_surface() -> None:
     """From free to behind the rim within a voxel: the rim hides what is there."""
     known = case("an L")
     whole, volume = known.cavity, known.kit
-    np.testing.assert_array_equal(whole.certain_relief, whole.relief)
+    np.testing.assert_array_equal(whole.certain_heights, whole.heights)
     np.testing.assert_array_equal(whole.certain_free, whole.free)
-    i, j = np.argwhere(whole.region & (whole.relief < -7e-3))[40]
+    i, j = np.argwhere(whole.region & (whole.heights < -7e-3))[40]
     values = volume.values.copy()
     k = round((BELOW - 4e-3) / VOXEL)  # 4 mm below the plate's face
     values[i, j, : k + 1], values[i, j, k + 1 :] = -0.1, 1.0
-    cavity = find_cavity(Volume(volume.grid, values), whole.world_from_plate, 0.5e-3)
+    cavity = find_cavity(Volume(volume.grid, values), whole.world_from_plate, IDEAL.noise)
     assert cavity is not None
-    assert cavity.relief[i, j] == pytest.approx(-4e-3, abs=VOXEL)
-    assert np.isnan(cavity.certain_relief[i, j])
+    assert cavity.heights[i, j] == pytest.approx(-4e-3, abs=VOXEL)
+    assert np.isnan(cavity.certain_heights[i, j])
     assert cavity.certain_free[i, j] == pytest.approx(-3e-3, abs=1e-9)
 
 
@@ -160,14 +162,14 @@ def test_the_envelope_from_a_start_is_the_envelope_above_it() -> None:
     assert (within[np.isfinite(within)] >= whole[np.isfinite(within)]).all()
 
 
-def problem_at(known: Case, evidence: PartEvidence, hold: float = 0.0) -> tuple[IntervalProblem, np.ndarray]:
+def problem_at(known: Case, bounds: PartBounds, hold: float = 0.0) -> tuple[IntervalProblem, np.ndarray]:
     """The problem with the part at its goal, and its twist there."""
     pose = known.candidate(known.goal).plate_from_now
     rotation = Pose(pose.wxyz, np.zeros(3))
-    sweeps = sweeps_of(evidence, known.pivot, rotation, known.cavity.depth, CLEARANCE)
+    sweeps = sweeps_of(bounds, known.pivot, rotation, known.cavity.depth, CLEARANCE)
     middle = pose.apply(known.pivot)
     normal = rotation.rotate(known.down_normal)
-    problem = IntervalProblem(known.cavity.points, sweeps, normal, CLEARANCE, 1.0, 0.1, float(middle[2]), hold)
+    problem = IntervalProblem(known.cavity.points, sweeps, normal, CLEARANCE, 0.1, float(middle[2]), hold)
     return problem, np.concatenate([np.zeros(3), middle])
 
 
@@ -181,18 +183,16 @@ def distances_at(problem: IntervalProblem, twist: np.ndarray) -> tuple[np.ndarra
 def test_residuals_at_many_twists_are_those_at_each(seed: int) -> None:
     """Bit for bit, with the floors of one of them."""
     known = case("an L")
-    problem, twist = problem_at(known, told(known.part), hold=0.5)
-    whole = Problem(problem.points, problem.sweeps[0], problem.down_normal, CLEARANCE, 1.0)
+    problem, twist = problem_at(known, exact(known.part), hold=0.5)
     twists = twist + np.random.default_rng(seed).normal(size=(5, 6)) * 2e-3
-    for either in (problem, whole):
-        floors = either.floors_at(twists[0])
-        alone = np.concatenate([either.residuals(each[None], floors) for each in twists])
-        np.testing.assert_array_equal(either.residuals(twists, floors), alone)
+    floors = problem.floors_at(twists[0])
+    alone = np.concatenate([problem.residuals(each[None], floors) for each in twists])
+    np.testing.assert_array_equal(problem.residuals(twists, floors), alone)
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_where_nothing_is_unknown_intervals_are_distances(name: str) -> None:
-    problem, twist = problem_at(case(name), told(case(name).part))
+    problem, twist = problem_at(case(name), exact(case(name).part))
     for offset in (np.zeros(6), np.array([0.02, 0, -0.03, 1e-3, -2e-3, 1e-3])):
         outside, filled = distances_at(problem, twist + offset)
         differences = np.abs(outside - filled)  # surfaces are traced from different heights
@@ -202,7 +202,7 @@ def test_where_nothing_is_unknown_intervals_are_distances(name: str) -> None:
 
 @pytest.mark.parametrize("name", CASES)
 def test_where_nothing_is_certain_no_point_is_outside(name: str) -> None:
-    problem, twist = problem_at(case(name), untold(case(name).part))
+    problem, twist = problem_at(case(name), unknown(case(name).part))
     outside, filled = distances_at(problem, twist + np.array([0, 0, 0, 3e-3, 0, 0]))
     np.testing.assert_array_equal(outside, 0)
     assert np.abs(filled).max() > 1e-3
@@ -212,10 +212,10 @@ def test_where_nothing_is_certain_no_point_is_outside(name: str) -> None:
 def test_less_certainty_never_puts_a_point_farther_outside(name: str) -> None:
     known = case(name)
     values, grid = known.part.values, known.part.grid
-    wider = PartEvidence(
+    wider = PartBounds(
         known.part, Volume(grid, np.minimum(values + 0.3, 1)), Volume(grid, np.maximum(values - 0.3, -1))
     )
-    (sure, twist), (unsure, _) = (problem_at(known, evidence) for evidence in (told(known.part), wider))
+    (sure, twist), (unsure, _) = (problem_at(known, bounds) for bounds in (exact(known.part), wider))
     for offset in (0, 1e-3, -2e-3):
         at = twist + np.array([0, 0, 0, offset, -offset, offset])
         assert (np.abs(distances_at(unsure, at)[0]) <= np.abs(distances_at(sure, at)[0]) + 1e-9).all()
@@ -226,7 +226,7 @@ def test_with_certain_volumes_refinement_converges_to_the_goal(name: str) -> Non
     known = case(name)
     for seed in range(2):
         pose, outside, filled = refine_within(
-            told(known.part), known.pivot, perturbed(known, seed), CLEARANCE, 1.0, 0.1
+            exact(known.part), known.pivot, perturbed(known, seed), CLEARANCE, 0.1, SCALES
         )
         distance, angle = known.error_of(pose)
         assert (distance < 0.3, angle < 0.6) == (True, True), f"{distance:.2f} mm, {angle:.2f} degrees from {seed}"
@@ -242,9 +242,9 @@ def test_false_material_moves_the_fit_less_where_it_is_known_to_be_uncertain(nam
     shift = tuple(np.rint(aside / known.part.grid.voxel_size).astype(int).tolist())
     grown = np.minimum(known.part.values, np.roll(known.part.values, shift, (0, 1, 2)))
     filled = Volume(known.part.grid, grown)
-    believed, _ = refine(filled, known.pivot, candidate, CLEARANCE, 1.0)
-    evidence = PartEvidence(filled, known.part, filled)
-    within = refine_within(evidence, known.pivot, candidate, CLEARANCE, 1.0, 0.1).plate_from_now
+    believed = refine_within(exact(filled), known.pivot, candidate, CLEARANCE, 0.1, SCALES).plate_from_now
+    bounds = PartBounds(filled, known.part, filled)
+    within = refine_within(bounds, known.pivot, candidate, CLEARANCE, 0.1, SCALES).plate_from_now
     assert known.error_of(within)[0] < 0.7 * known.error_of(believed)[0]
 
 
@@ -252,8 +252,8 @@ def test_a_floor_is_seen_where_points_lie_on_it() -> None:
     known = case("a bar")
     assert floor_is_seen(known.cavity)
     walls = known.cavity.points[known.cavity.points[:, 2] > -known.cavity.depth / 2]
-    n = known.cavity.relief.shape
-    assert not floor_is_seen(replace(known.cavity, points=walls, certain_relief=np.full(n, np.nan)))
+    n = known.cavity.heights.shape
+    assert not floor_is_seen(replace(known.cavity, points=walls, certain_heights=np.full(n, np.nan)))
     assert not floor_is_seen(replace(known.cavity, points=np.zeros((0, 3))))
 
 
@@ -261,10 +261,10 @@ def test_where_no_floor_is_seen_the_height_is_held() -> None:
     """With walls alone a prism slides along its axis; held, it stays at the height of the search."""
     known = case("a bar")
     walls = known.cavity.points[known.cavity.points[:, 2] > -0.6 * known.cavity.depth]
-    n = known.cavity.relief.shape
-    hidden = replace(known.cavity, points=walls, certain_relief=np.full(n, np.nan))
+    n = known.cavity.heights.shape
+    hidden = replace(known.cavity, points=walls, certain_heights=np.full(n, np.nan))
     candidate = replace(known.candidate(known.goal), cavity=hidden)
-    held, _, _ = refine_within(untold(known.part), known.pivot, candidate, CLEARANCE, 1.0, 0.1)
+    held, _, _ = refine_within(unknown(known.part), known.pivot, candidate, CLEARANCE, 0.1, SCALES)
     start = candidate.plate_from_now.apply(known.pivot)[2]
     assert abs(held.apply(known.pivot)[2] - start) < 0.5e-3
 

@@ -14,14 +14,19 @@ from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh
 from kit1000.metrics import Targets, pose_errors
+from kit1000.perception.image_kinds import D415, IDEAL, PHOTONEO
+from kit1000.perception.sensor_facts import simulated_sensor
 from kit1000.pose import Pose
 from kit1000.prediction.making import make_predictor
 from kit1000.predictor import PredictedMotion
-from kit1000.registration.choice.several_images import difference
-from kit1000.registration.geometry.observed_cavity import VOXEL, Cavity, find_cavity, plate_grid
-from kit1000.registration.inputs.volume_sources import EXACT, TrueSource
-from kit1000.registration.method import Registration
-from kit1000.registration.search.candidates import DEEPER, LEAST_REGION, SIDE, WIDER, find_cavities
+from kit1000.registration.geometry.cavity import VOXEL, Cavity, find_cavity, plate_grid
+from kit1000.registration.kit_volume import DEEPER, LEAST_REGION, TRUE_NOISE, WIDER, TrueKits, find_cavities
+from kit1000.registration.predictor import Registration
+from kit1000.registration.prepared_image import Networks
+from kit1000.registration.search import LEAST_SIDE
+from kit1000.registration.several_images import difference
+from kit1000.rng import stream
+from kit1000.sim.sensors import SENSORS, sense
 from kit1000.testing import check_predictor, moved_query, moved_truth
 from kit1000.testing.predictors import WORLD_MOTION
 from kit1000.values import LabelledDepth, Query, TrueGeometry, Truth
@@ -146,14 +151,26 @@ def test_true_volumes_need_the_true_geometry(data: Dataset, snaps: QueryTruths) 
 def test_noisy_images_are_completed_by_a_network_of_their_own(data: Dataset) -> None:
     method = make_predictor(method_of("registration-completed"), data, 0)
     assert isinstance(method, Registration)
-    exact, noisy = (method.completer(sensor) for sensor in ("ideal", "d415"))
-    assert exact is not None
-    assert noisy is not None
-    assert noisy is not exact
-    assert method.completer("d415") is noisy
+    exact, scanned, noisy = (method.networks(kind) for kind in (IDEAL, PHOTONEO, D415))
+    assert exact.completer is scanned.completer is not None
+    assert None is not noisy.completer is not exact.completer
+    assert method.networks(D415).completer is noisy.completer  # loaded once
+    assert [networks.restorer is None for networks in (exact, scanned, noisy)] == [True, True, False]
+    assert [networks.filler is None for networks in (exact, scanned, noisy)] == [True, False, True]
+    assert [networks.placer is None for networks in (exact, scanned, noisy)] == [True, True, False]
     of_both = Registration(data, completion=method.completion)
-    assert of_both.completer("d415") is of_both.completer("ideal") is not None
-    assert Registration(data).completer("d415") is None
+    assert of_both.networks(D415).completer is of_both.networks(IDEAL).completer is not None
+    assert Registration(data).networks(D415) == Networks()
+
+
+def test_a_new_sensor_is_one_value(data: Dataset, snaps: QueryTruths, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(SENSORS, "zed", replace(SENSORS["d415"], baseline=0.12, amplitude_px=(0.05, 0.15)))
+    query, _ = snaps[0]
+    view = sense("zed", query.view, stream(0, "zed"))
+    image = LabelledDepth(view, query.image.labels)
+    predicted = Registration(data)(replace(query, sensor="zed", read_image=lambda: image))
+    assert predicted.confidence > 0
+    assert simulated_sensor("zed").kind is D415
 
 
 def test_an_unknown_source_is_refused(data: Dataset) -> None:
@@ -200,8 +217,8 @@ def test_where_no_plate_is_near_the_guess_it_stays(source: str, snaps: QueryTrut
 def test_a_cavity_that_the_border_cuts_is_found_in_a_wider_relief(snaps: QueryTruths, data: Dataset) -> None:
     known, truth = snaps[0]
     query = replace(known, guess=truth.goal_drawn)
-    source = TrueSource(data.geometry.true_geometry(truth))
-    whole = min(find_cavities(source, query), key=lambda cavity: cavity.depth)
+    source = TrueKits(data.geometry.true_geometry(truth))
+    whole = min(find_cavities(source, query, LEAST_SIDE), key=lambda cavity: cavity.depth)
     cells = np.argwhere(whole.region) - (len(whole.region) - 1) / 2
     cut = 1.8 * VOXEL * float(np.abs(cells).max())  # nine tenths of what holds it
     found = min(find_cavities(source, query, cut), key=lambda cavity: cavity.depth)
@@ -211,16 +228,16 @@ def test_a_cavity_that_the_border_cuts_is_found_in_a_wider_relief(snaps: QueryTr
 
 
 @dataclass(frozen=True, eq=False)
-class FurrowedSource(TrueSource):
+class FurrowedKits(TrueKits):
     """Kits with a furrow from the origin of a plate outwards, 2.2 mm deep and 6 mm wide, as noise may bend a rim."""
 
     world_from_plate: Pose = field(default_factory=Pose.identity)
     width: float = 6e-3
     depth: float = 2.2e-3
 
-    def plate(self, grid: Grid) -> Volume:
+    def volume(self, grid: Grid) -> Volume:
         """The kits, exact but for the furrow."""
-        volume = super().plate(grid)
+        volume = super().volume(grid)
         x, y, z = np.moveaxis(self.world_from_plate.inverse().apply(grid.centres()), -1, 0)
         furrow = (np.abs(x) < self.width / 2) & (y > 0) & (z > -self.depth)
         return Volume(grid, np.where(furrow, np.maximum(volume.values, np.float32(0.2)), volume.values))
@@ -230,12 +247,12 @@ def test_a_cavity_that_runs_out_over_its_rim_is_found_by_a_deeper_cut(snaps: Que
     known, truth = snaps[0]
     query = replace(known, guess=truth.goal_drawn)
     geometry = data.geometry.true_geometry(truth)
-    whole = min(find_cavities(TrueSource(geometry), query), key=lambda cavity: cavity.depth)
-    source = FurrowedSource(geometry, world_from_plate=whole.world_from_plate)
-    frame, noise = whole.world_from_plate, source.noise.distance
-    furrowed = source.plate(plate_grid(frame, WIDER * SIDE))
+    whole = min(find_cavities(TrueKits(geometry), query, LEAST_SIDE), key=lambda cavity: cavity.depth)
+    source = FurrowedKits(geometry, world_from_plate=whole.world_from_plate)
+    frame, noise = whole.world_from_plate, source.noise
+    furrowed = source.volume(plate_grid(frame, WIDER * LEAST_SIDE))
     assert find_cavity(furrowed, frame, noise) is None
-    found = min(find_cavities(source, query), key=lambda cavity: cavity.depth)
+    found = min(find_cavities(source, query, LEAST_SIDE), key=lambda cavity: cavity.depth)
     assert found.depth == pytest.approx(whole.depth, abs=0.1e-3)
     assert found.region.sum() == pytest.approx(whole.region.sum(), rel=0.1)
 
@@ -252,30 +269,30 @@ def twin_plates(snaps: QueryTruths, data: Dataset) -> tuple[Query, TrueGeometry]
     return replace(known, guess=None), replace(geometry, assembly=both)
 
 
-@pytest.mark.parametrize("bent", [False, True])
-def test_where_rims_may_be_bent_each_plate_is_cut_deeper_by_itself(
-    bent: bool, twin_plates: tuple[Query, TrueGeometry]
+@pytest.mark.parametrize("wavy", [False, True])
+def test_where_rims_may_be_wavy_each_plate_is_cut_deeper_by_itself(
+    wavy: bool, twin_plates: tuple[Query, TrueGeometry]
 ) -> None:
     query, geometry = twin_plates
-    whole = [cavity for cavity in find_cavities(TrueSource(geometry), query) if is_large(cavity)]
+    whole = [cavity for cavity in find_cavities(TrueKits(geometry), query, LEAST_SIDE) if is_large(cavity)]
     assert len(whole) == 2
     frame = whole[0].world_from_plate
-    source = FurrowedSource(geometry, EXACT._replace(bent=bent), frame)
-    found = [cavity for cavity in find_cavities(source, query) if is_large(cavity)]
-    assert len(found) == 1 + bent
+    source = FurrowedKits(geometry, TRUE_NOISE._replace(wavy_rims=wavy), frame)
+    found = [cavity for cavity in find_cavities(source, query, LEAST_SIDE) if is_large(cavity)]
+    assert len(found) == 1 + wavy
     for cavity in found:
         assert cavity.region.sum() == pytest.approx(whole[0].region.sum(), rel=0.1)
 
 
 @dataclass(frozen=True, eq=False)
-class PittedSource(TrueSource):
+class PittedKits(TrueKits):
     """Kits of which one plate has a pit of 8 mm x 8 mm in place of its cavity."""
 
     world_from_plate: Pose = field(default_factory=Pose.identity)
 
-    def plate(self, grid: Grid) -> Volume:
+    def volume(self, grid: Grid) -> Volume:
         """The kits, exact but for that plate."""
-        volume = super().plate(grid)
+        volume = super().volume(grid)
         x, y, z = np.moveaxis(self.world_from_plate.inverse().apply(grid.centres()), -1, 0)
         wide = np.maximum(np.abs(x), np.abs(y))
         filled = np.where((wide < 40e-3) & (np.abs(z) < 20e-3), z / (5 * grid.voxel_size), volume.values)
@@ -283,15 +300,15 @@ class PittedSource(TrueSource):
         return Volume(grid, np.clip(pitted, -1, 1).astype(np.float32))
 
 
-@pytest.mark.parametrize("bent", [False, True])
-def test_where_rims_may_be_bent_small_holes_are_left_out_beside_a_cavity(
-    bent: bool, twin_plates: tuple[Query, TrueGeometry]
+@pytest.mark.parametrize("wavy", [False, True])
+def test_where_rims_may_be_wavy_small_holes_are_left_out_beside_a_cavity(
+    wavy: bool, twin_plates: tuple[Query, TrueGeometry]
 ) -> None:
     query, geometry = twin_plates
-    plates = [cavity.world_from_plate for cavity in find_cavities(TrueSource(geometry), query)]
-    found = find_cavities(PittedSource(geometry, EXACT._replace(bent=bent), plates[0]), query)
+    plates = [cavity.world_from_plate for cavity in find_cavities(TrueKits(geometry), query, LEAST_SIDE)]
+    found = find_cavities(PittedKits(geometry, TRUE_NOISE._replace(wavy_rims=wavy), plates[0]), query, LEAST_SIDE)
     assert [is_large(cavity) for cavity in found].count(True) == 1
-    assert [is_large(cavity) for cavity in found].count(False) == (not bent)
+    assert [is_large(cavity) for cavity in found].count(False) == (not wavy)
 
 
 def is_large(cavity: Cavity) -> bool:
@@ -301,11 +318,11 @@ def is_large(cavity: Cavity) -> bool:
 def test_cracks_are_closed_in_deeper_cuts(snaps: QueryTruths, data: Dataset) -> None:
     known, truth = snaps[0]
     query, geometry = replace(known, guess=truth.goal_drawn), data.geometry.true_geometry(truth)
-    whole = min(find_cavities(TrueSource(geometry), query), key=lambda cavity: cavity.depth)
-    source = FurrowedSource(geometry, world_from_plate=whole.world_from_plate, width=2.2e-3, depth=6e-3)
-    plate = source.plate(plate_grid(whole.world_from_plate, SIDE))
-    assert find_cavity(plate, whole.world_from_plate, source.noise.distance) is None
-    found = find_cavity(plate, whole.world_from_plate, source.noise.distance, DEEPER[0])
+    whole = min(find_cavities(TrueKits(geometry), query, LEAST_SIDE), key=lambda cavity: cavity.depth)
+    source = FurrowedKits(geometry, world_from_plate=whole.world_from_plate, width=2.2e-3, depth=6e-3)
+    plate = source.volume(plate_grid(whole.world_from_plate, LEAST_SIDE))
+    assert find_cavity(plate, whole.world_from_plate, source.noise) is None
+    found = find_cavity(plate, whole.world_from_plate, source.noise, DEEPER[0])
     assert found is not None
     assert found.region.sum() == pytest.approx(whole.region.sum(), rel=0.1)
 
@@ -348,5 +365,5 @@ def test_a_scene_seen_from_two_places_is_answered_by_both(
     query, _ = snaps[0]
     method, other = Registration(data), replace(query)
     expected = method.together([query, other])
-    monkeypatch.setattr("kit1000.registration.method.from_elsewhere", lambda *_: [other])
+    monkeypatch.setattr("kit1000.registration.predictor.from_elsewhere", lambda *_: [other])
     check_same(method(query), expected)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import cast
 
 import numpy as np
 import pytest
@@ -12,24 +11,36 @@ from hypothesis import strategies as st
 
 from kit1000.perception.placement.channels import CELL, CELLS, Channel
 from kit1000.pose import Pose
-from kit1000.registration.inputs.volume_sources import DepthSource
-from kit1000.registration.refinement.plate_patch import PlatePatch, plate_patch
-from kit1000.registration.search.correlation import Candidate
+from kit1000.registration.image_refine import PlatePatch, plate_patch
+from kit1000.registration.prepared_image import RestoredImage
+from kit1000.registration.search import Candidate
 from kit1000.values import LabelledDepth
 from kit1000.voxels import Volume
-from tests.samples.known_source import KnownSource
-from tests.samples.registration_cases import CASES, CLEARANCE, case
-from tests.samples.registration_images import image_of, moved
+from tests.samples.registration_cases import CASES, CLEARANCE, case, known_shape
+from tests.samples.registration_images import CAMERA, image_of, moved
 from tests.samples.strategies import poses
 
 DEEP = 0.4  # [px] below the face
 
 
+def patch_in(
+    image: LabelledDepth,
+    part: Volume,
+    middle: np.ndarray,
+    candidate: Candidate,
+    measured: LabelledDepth | None = None,
+) -> PlatePatch | None:
+    """The patch of a fit of a known part."""
+    gain = CAMERA.fx * 0.055
+    return plate_patch(
+        known_shape(part, middle), RestoredImage(image, measured or image, gain), candidate, CLEARANCE, CELLS
+    )
+
+
 def patch_of(
     name: str, candidate: Candidate, image: LabelledDepth | None = None, measured: LabelledDepth | None = None
 ) -> PlatePatch:
-    source = KnownSource(image or image_of(name), case(name).part, case(name).pivot, measured)
-    patch = plate_patch(cast(DepthSource, source), candidate, CLEARANCE, CELLS)
+    patch = patch_in(image or image_of(name), case(name).part, case(name).pivot, candidate, measured)
     assert patch is not None
     return patch
 
@@ -66,8 +77,8 @@ def test_a_patch_is_the_same_wherever_the_scene_stands(world: Pose) -> None:
     cavity = replace(start.cavity, world_from_plate=world @ start.cavity.world_from_plate)
     there = replace(start, cavity=cavity, plate_from_now=start.plate_from_now @ world.inverse())
     grid = replace(known.part.grid, world_from_grid=world @ known.part.grid.world_from_grid)
-    source = KnownSource(LabelledDepth(view, image.labels), Volume(grid, known.part.values), world.apply(known.pivot))
-    patch = plate_patch(cast(DepthSource, source), there, CLEARANCE, CELLS)
+    moved_image, part = LabelledDepth(view, image.labels), Volume(grid, known.part.values)
+    patch = patch_in(moved_image, part, world.apply(known.pivot), there)
     assert patch is not None
     assert (np.abs(patch.channels - here.channels) > 0.02).mean() < 1e-3
     np.testing.assert_allclose(patch.world_from_patch.matrix(), (world @ here.world_from_patch).matrix(), atol=1e-6)
@@ -126,10 +137,8 @@ def test_a_plate_that_the_camera_sees_from_below_has_no_patch() -> None:
     start = moved(known, 0, 0, 0)
     below = start.cavity.world_from_plate.apply(np.array([0.0, 0.0, -0.7]))
     pose = replace(image.view.world_from_camera, xyz=below)
-    source = KnownSource(
-        LabelledDepth(replace(image.view, world_from_camera=pose), image.labels), known.part, known.pivot
-    )
-    assert plate_patch(cast(DepthSource, source), start, CLEARANCE, CELLS) is None
+    under = LabelledDepth(replace(image.view, world_from_camera=pose), image.labels)
+    assert patch_in(under, known.part, known.pivot, start) is None
 
 
 def test_the_relief_is_seen_from_above() -> None:

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from bench.outside.portable import OLD_PROCESSOR
 from kit1000.numerics.elimination import solve_positive
 from kit1000.pose import Pose
-from kit1000.registration.geometry.swept_slices import rotation_matrix
-from kit1000.registration.search.correlation import YAW_STEP, OrientedPart, correlate
+from kit1000.registration.geometry.sweeps import rotation_matrix
+from kit1000.registration.search import YAW_STEP, OrientedPart, correlate
 from kit1000.voxels import Grid, Volume
 from tests.samples.checkout import ROOT
 
@@ -29,13 +29,14 @@ import sys
 from pathlib import Path
 from hashlib import sha256
 from kit1000.perception.calibration import calibrated_by
-from kit1000.registration.method import Registration
+from kit1000.perception.sensor_facts import simulated_sensor
+from kit1000.registration.predictor import Registration
 from kit1000.dataset.reader import Dataset
 
 data = Dataset(Path(sys.argv[1]))
 for sensor in ("d415", "photoneo"):
     image = next(query for query in data.split("val").queries() if query.track == f"snap-{sensor}").image
-    view = calibrated_by(image.view, image.labels, sensor)
+    view = calibrated_by(image.view, image.labels, simulated_sensor(sensor))
     pose = view.world_from_camera
     print(sensor, pose.wxyz.tolist(), pose.xyz.tolist(), sha256(view.depth.tobytes()).hexdigest())
 for track, source in (("snap", "depth"), ("snap", "columns"), ("place", "truth")):

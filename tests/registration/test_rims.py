@@ -7,8 +7,9 @@ import pytest
 
 from kit1000.camera import Camera, look_at
 from kit1000.mesh import mesh_from_solid
+from kit1000.perception.image_kinds import IDEAL
 from kit1000.pose import Pose
-from kit1000.registration.geometry.observed_cavity import CUT, RIM, VOXEL, find_cavity, plate_grid, seen_face
+from kit1000.registration.geometry.cavity import CUT, RIM, VOXEL, find_cavity, plate_grid, seen_face
 from kit1000.sim.render import render
 from kit1000.values import View
 from kit1000.voxels import Volume, tsdf
@@ -16,7 +17,7 @@ from tests.samples.shapes import MM, box
 
 CAMERA = Camera(width=600, height=500, fx=1500.0, fy=1500.0, cx=299.5, cy=249.5)
 HALF = np.array([20e-3, 15e-3])  # [m] of the cavity
-SIDE, NOISE = 0.12, 0.5e-3
+SIDE, NOISE = 0.12, IDEAL.noise
 
 
 def plate_seen_from(polar_deg: float, dark: bool = False) -> Volume:
@@ -54,12 +55,12 @@ def test_the_rims_of_a_cavity_lie_where_its_plate_ends(polar_deg: float) -> None
 def test_a_cavity_without_any_return_is_found_where_there_may_be_one(polar_deg: float) -> None:
     volume = plate_seen_from(polar_deg, dark=True)
     assert find_cavity(volume, Pose.identity(), NOISE) is None
-    cavity = find_cavity(volume, Pose.identity(), NOISE, dark=True)
+    cavity = find_cavity(volume, Pose.identity(), NOISE._replace(no_return=True))
     assert cavity is not None
     assert cavity.region.sum() * VOXEL**2 == pytest.approx(4 * HALF.prod(), rel=0.15)
     assert cavity.depth < 2 * CUT  # unknown: the part's height tells it
     seen = plate_seen_from(polar_deg)
-    known, same = (find_cavity(seen, Pose.identity(), NOISE, dark=dark) for dark in (False, True))
+    known, same = (find_cavity(seen, Pose.identity(), NOISE._replace(no_return=dark)) for dark in (False, True))
     assert known is not None
     assert same is not None
     np.testing.assert_array_equal(known.region, same.region)  # where a floor is seen nothing changes

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from numpy.typing import ArrayLike
 
 from kit1000.pose import Pose, random_quaternions
-from kit1000.registration.choice.fits import Fit
-from kit1000.registration.choice.several_images import ALONE, ARM, COMPANY, NEAR, agreed, difference, mean_motion
-from kit1000.registration.search.correlation import Candidate
+from kit1000.registration.rank import Fit
+from kit1000.registration.search import Candidate
+from kit1000.registration.several_images import ALONE, ARM, COMPANY, NEAR, agreed, difference, mean_motion
 from tests.samples.strategies import poses
 
 MIDDLE = np.array([0.05, -0.17, 0.02])
@@ -33,10 +33,10 @@ WRONG = about(RIGHT, (0, 0, 0), (0, 0, np.pi))
 ELSEWHERE = about(RIGHT, (0.09, 0, 0))
 
 
-def fit(motion: Pose, misfit: float = 3e-3, doubt: float = 1e-3) -> Fit:
+def fit(motion: Pose, cost: float = 3e-3, uncertainty: float = 1e-3) -> Fit:
     """One in a plate at the origin."""
     cavity: Any = SimpleNamespace(world_from_plate=Pose.identity())
-    return Fit(motion, misfit, doubt, Candidate(cavity, motion, DOWN, 0.0, 0.1))
+    return Fit(motion, cost, uncertainty, Candidate(cavity, motion, DOWN, 0.1))
 
 
 @given(poses(), st.lists(poses(), min_size=1, max_size=4))
@@ -67,7 +67,7 @@ def test_the_mean_halves_what_two_fits_are_off() -> None:
 
 def test_the_surer_fit_weighs_more() -> None:
     other = about(RIGHT, (4e-3, 0, 0))
-    best, *_ = agreed([[fit(RIGHT, doubt=0.0)], [fit(other, doubt=3e-3)]], MIDDLE)
+    best, *_ = agreed([[fit(RIGHT, uncertainty=0.0)], [fit(other, uncertainty=3e-3)]], MIDDLE)
     assert 0 < difference(best.goal_from_now, RIGHT, MIDDLE) < 1.8e-3
 
 
@@ -90,8 +90,8 @@ def test_fits_in_company_win_over_better_ones_alone() -> None:
     images = [[fit(WRONG, 2e-3), fit(RIGHT, 3e-3)], [fit(ELSEWHERE, 2e-3), fit(slightly, 3e-3)]]
     best, *others = agreed(images, MIDDLE)
     assert difference(best.goal_from_now, RIGHT, MIDDLE) == pytest.approx(1e-3, abs=1e-9)
-    assert best.misfit == pytest.approx(3.5e-3)
-    assert {round(other.misfit, 9) for other in others} == {(2e-3 + ALONE) / 2}
+    assert best.cost == pytest.approx(3.5e-3)
+    assert {round(other.cost, 9) for other in others} == {(2e-3 + ALONE) / 2}
     assert len(others) == 2
 
 
@@ -104,22 +104,22 @@ def test_fits_too_far_apart_are_none_of_a_pose() -> None:
 
 
 def test_the_more_images_agree_the_surer() -> None:
-    doubts = []
+    uncertainties = []
     for count in (1, 2, 3, 4):
         best, *_ = agreed([[fit(RIGHT)]] * count + [[fit(ELSEWHERE, 6e-3)]], MIDDLE)
-        doubts.append(best.doubt)
+        uncertainties.append(best.uncertainty)
     expected = 1e-3 - COMPANY * np.log([1, 2, 3, 4])
-    np.testing.assert_allclose(doubts, expected, atol=1e-12)
+    np.testing.assert_allclose(uncertainties, expected, atol=1e-12)
 
 
 def test_fits_that_differ_are_less_sure() -> None:
     apart = about(RIGHT, (4e-3, 0, 0))
-    near, far = (agreed([[fit(RIGHT)], [fit(other)]], MIDDLE)[0].doubt for other in (RIGHT, apart))
+    near, far = (agreed([[fit(RIGHT)], [fit(other)]], MIDDLE)[0].uncertainty for other in (RIGHT, apart))
     assert far > near
 
 
 def test_the_order_of_an_image_s_fits_is_kept() -> None:
-    """Fits in the likeliest plate come first, though one in another plate has less misfit."""
+    """Fits in the likeliest plate come first, though one in another plate has less cost."""
     first = [fit(RIGHT, 3e-3), fit(ELSEWHERE, 2.9e-3)]
     best, *_ = agreed([first, first], MIDDLE)
     assert difference(best.goal_from_now, RIGHT, MIDDLE) < 1e-12
@@ -135,4 +135,4 @@ def test_the_order_of_the_images_does_not_matter(seed: int) -> None:
     ]  # fmt: skip
     one, other = (agreed(some, MIDDLE)[0] for some in (images, images[::-1]))
     assert difference(one.goal_from_now, other.goal_from_now, MIDDLE) < 1e-9
-    assert one.misfit == pytest.approx(other.misfit)
+    assert one.cost == pytest.approx(other.cost)

@@ -16,9 +16,9 @@ from kit1000.perception.completion.parts.frame import framed
 from kit1000.perception.observed.parts import HALF_WIDTH, ObservedPart
 from kit1000.pose import Pose, random_quaternions
 from kit1000.queries.guesses import MAX_OFFSET
-from kit1000.registration.geometry.height_images import MARGIN, image_cells
-from kit1000.registration.geometry.swept_slices import BEYOND, CELL, LAYER, REACH, Sweep, envelope_about
-from kit1000.registration.search.candidates import SIDE, SLACK_OFFSET, plate_side
+from kit1000.registration.geometry.height_maps import MARGIN, map_cells
+from kit1000.registration.geometry.sweeps import BEYOND, CELL, LAYER, REACH, Sweep, envelope_about
+from kit1000.registration.search import LEAST_SIDE, SLACK_OFFSET, plate_side
 from kit1000.sim.render import render
 from kit1000.values import LabelledDepth, View
 from kit1000.voxels import Grid, Volume, signed_distance
@@ -49,6 +49,12 @@ def cuboid(sides: tuple[float, float, float]) -> Volume:
     x, y, z = (1e3 * side for side in sides)
     mesh = mesh_from_solid(box(x, y, z, (0, 0, -z / 2))).scaled(MM)
     return signed_distance(grid, [(mesh, Pose.identity())], threads=1)
+
+
+def swept(part: Volume, rotation: Pose, clearance: float) -> Sweep:
+    """The sweep of a part in a rotation about its middle, up to 5 mm above its lowest point."""
+    envelope = envelope_about(part, np.zeros(3), rotation, clearance)
+    return Sweep.from_envelope(envelope, rotation, float(envelope.min()), 5e-3, clearance)
 
 
 @pytest.mark.parametrize("length", [40, 60, 110])
@@ -83,8 +89,8 @@ def test_a_part_larger_than_the_grid_of_the_network_is_completed_in_larger_cells
 def test_an_image_holds_the_part_and_its_clearance_in_any_rotation(longest: float, clearance: float, seed: int) -> None:
     part = cuboid((longest, 0.02, 0.015))
     rotation = Pose(random_quaternions(np.random.default_rng(seed), 1)[0], np.zeros(3))
-    sweep = Sweep.from_part(part, np.zeros(3), rotation, 5e-3, clearance)
-    cells = image_cells(part, clearance, CELL)
+    sweep = swept(part, rotation, clearance)
+    cells = map_cells(part, clearance, CELL)
     assert sweep.floor.shape == (cells, cells)
     inside = np.isfinite(envelope_about(part, np.zeros(3), rotation, clearance))
     edge = int(min(clearance, 10e-3) / CELL)
@@ -98,7 +104,7 @@ def test_an_image_holds_the_part_and_its_clearance_in_any_rotation(longest: floa
 @pytest.mark.parametrize("clearance", [1e-3, 2.5e-3, 10e-3])
 def test_distances_from_a_sweep_are_exact_beyond_the_clearance(clearance: float) -> None:
     part = cuboid((0.03, 0.02, 0.01))
-    sweep = Sweep.from_part(part, np.zeros(3), Pose.identity(), 5e-3, clearance)
+    sweep = swept(part, Pose.identity(), clearance)
     envelope = envelope_about(part, np.zeros(3), Pose.identity(), clearance)
     for layer in (0, 3):
         solid = envelope - envelope.min() <= layer * LAYER + 1e-9
@@ -111,18 +117,16 @@ def test_distances_from_a_sweep_are_exact_beyond_the_clearance(clearance: float)
 
 @settings(max_examples=10, deadline=None)
 @given(st.floats(0.02, 0.12), st.floats(1e-3, 10e-3), st.floats(-1, 1), st.floats(-1, 1))
-def test_a_plates_relief_holds_the_cavity_wherever_a_guess_is(
-    length: float, clearance: float, x: float, y: float
-) -> None:
+def test_a_plates_map_holds_the_cavity_wherever_a_guess_is(length: float, clearance: float, x: float, y: float) -> None:
     part = cuboid((length, 0.02, 0.015))
     side = plate_side(part, np.zeros(3), clearance)
     corner = np.array([length / 2 + clearance, 0.01 + clearance])
     farthest = np.abs(np.array([x, y])) * (MAX_OFFSET + SLACK_OFFSET) + corner
-    assert side >= SIDE
+    assert side >= LEAST_SIDE
     assert (farthest <= side / 2 + VOXEL).all()
 
 
 def test_small_parts_have_the_images_of_their_volumes_and_a_margin() -> None:
     part = cuboid((0.03, 0.02, 0.01))
     half = max(part.grid.shape) * VOXEL / 2
-    assert image_cells(part, MARGIN / 2, CELL) == image_cells(part, MARGIN, CELL) == 2 * round((half + MARGIN) / CELL)
+    assert map_cells(part, MARGIN / 2, CELL) == map_cells(part, MARGIN, CELL) == 2 * round((half + MARGIN) / CELL)

@@ -1,4 +1,4 @@
-"""Plates wider than a relief: each of their holes is found, and a small plate is read as ever."""
+"""Plates wider than a map: each of their holes is found, and a small plate is read as ever."""
 
 from __future__ import annotations
 
@@ -18,10 +18,9 @@ from kit1000.perception.observed.plates import Plane, plane_frame
 from kit1000.pose import Pose
 from kit1000.queries.motions import goal_motion
 from kit1000.queries.pivots import part_pivots
-from kit1000.registration.geometry.wide_plates import MOST, plate_frames
-from kit1000.registration.inputs.volume_sources import TrueSource
-from kit1000.registration.method import Registration
-from kit1000.registration.search.candidates import SIDE
+from kit1000.registration.kit_volume import MOST_HOLES, TrueKits, plate_frames
+from kit1000.registration.predictor import Registration
+from kit1000.registration.search import LEAST_SIDE
 from kit1000.sim.cameras import CAMERA
 from kit1000.sim.layout import table
 from kit1000.sim.render import render
@@ -43,13 +42,13 @@ def block(width: float, length: float, holes: Sequence[tuple[float, float]], dia
 
 
 def frames_of(kit: Mesh) -> tuple[Plane, list[Pose]]:
-    """The top of a block and the frames of its reliefs."""
+    """The top of a block and the frames of its maps."""
     part = mesh_from_solid(box(20, 20, 20)).scaled(MM)
-    source = TrueSource(TrueGeometry(part, Pose.from_translation((0, -0.2, 0)), kit, WORLD_FROM_KIT))
-    points, normals, _ = source.oriented_points(None)
+    kits = TrueKits(TrueGeometry(part, Pose.from_translation((0, -0.2, 0)), kit, WORLD_FROM_KIT))
+    points, normals, _ = kits.oriented_points(None)
     area = float(np.prod(np.ptp(kit.bounds, axis=0)[:2]))
     plane = Plane(UP, WORLD_FROM_KIT.apply(np.array([0.0, 0.0, TOP])), area)
-    return plane, plate_frames(source, plane, points, normals, SIDE)
+    return plane, plate_frames(kits, plane, points, normals, LEAST_SIDE)
 
 
 def test_each_hole_of_a_wide_plate_has_a_frame_over_its_middle() -> None:
@@ -81,7 +80,7 @@ def test_a_wide_plate_without_a_hole_has_one_frame_and_specks_count_for_nothing(
 def test_the_largest_holes_of_many_are_taken() -> None:
     holes = [(x, y) for x in range(-120, 121, 40) for y in (-60, -20, 20, 60)]
     _, frames = frames_of(block(300, 180, holes, diameter=24))
-    assert len(holes) > MOST == len(frames)
+    assert len(holes) > MOST_HOLES == len(frames)
 
 
 PARTS = (keyed, bar)

@@ -8,11 +8,14 @@ import numpy as np
 from manifold3d import Manifold
 
 from kit1000.mesh import Mesh, mesh_from_solid
+from kit1000.perception.image_kinds import IDEAL
+from kit1000.perception.observed.parts import HALF_WIDTH, PartBounds
 from kit1000.pose import Pose
 from kit1000.queries.motions import apply_error, goal_motion
-from kit1000.registration.geometry.observed_cavity import Cavity, find_cavity, plate_grid
-from kit1000.registration.search.correlation import Candidate
-from kit1000.voxels import Grid, Volume, signed_distance
+from kit1000.registration.geometry.cavity import Cavity, find_cavity, plate_grid
+from kit1000.registration.part_volume import PartShape
+from kit1000.registration.search import Candidate
+from kit1000.voxels import Grid, Volume, signed_distance, surface_points
 from tests.samples.shapes import Seated, box, cylinder, ell, seated
 
 CLEARANCE = 2.5e-3
@@ -41,11 +44,16 @@ def columns(cell: float, cells: int) -> np.ndarray:
     return np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1)
 
 
-def known_cavity(relief: np.ndarray, world_from_plate: Pose | None = None, depth: float = 0.01) -> Cavity:
-    """A cavity whose relief is known everywhere."""
-    known = np.ones(relief.shape, bool)
+def known_cavity(heights: np.ndarray, world_from_plate: Pose | None = None, depth: float = 0.01) -> Cavity:
+    """A cavity whose heights are known everywhere."""
+    known = np.ones(heights.shape, bool)
     place = Pose.identity() if world_from_plate is None else world_from_plate
-    return Cavity(place, relief, relief, known, relief < 0, depth, np.zeros((0, 3)), relief, relief)
+    return Cavity(place, heights, heights, known, heights < 0, depth, np.zeros((0, 3)), heights, heights)
+
+
+def known_shape(part: Volume, middle: np.ndarray, bounds: PartBounds | None = None) -> PartShape:
+    """A part whose shape is known exactly, or within bounds."""
+    return PartShape(bounds or PartBounds(part, part, part), surface_points(part)[::20], middle, HALF_WIDTH)
 
 
 class Case:
@@ -59,15 +67,13 @@ class Case:
         plate = WORLD_FROM_KIT @ Pose.from_rotvec((0, 0, 0.3), (5e-3, -3e-3, 0))
         grid = plate_grid(plate, 0.144)
         self.kit = signed_distance(grid, [(known.kit().mesh, WORLD_FROM_KIT)], threads=1)
-        cavity = find_cavity(self.kit, plate, 0.5e-3)
+        cavity = find_cavity(self.kit, plate, IDEAL.noise)
         assert cavity is not None
         self.cavity = cavity
         self.down_normal = self.goal.inverse().rotate(-WORLD_FROM_KIT.rotate(UP))
 
     def candidate(self, goal_from_now: Pose) -> Candidate:
-        return Candidate(
-            self.cavity, self.cavity.world_from_plate.inverse() @ goal_from_now, self.down_normal, 0.0, 0.0
-        )
+        return Candidate(self.cavity, self.cavity.world_from_plate.inverse() @ goal_from_now, self.down_normal, 0.0)
 
     def error_of(self, plate_from_now: Pose) -> tuple[float, float]:
         """[mm] at the pivot and [degrees] from the goal."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from kit1000.camera import Camera, look_at
 from kit1000.pose import Pose
-from kit1000.registration.search.correlation import Candidate
+from kit1000.registration.search import Candidate
 from kit1000.sim.render import render
 from kit1000.values import ASSEMBLY_LABEL, LabelledDepth, View
 from tests.samples.registration_cases import CASES, WORLD_FROM_KIT, Case

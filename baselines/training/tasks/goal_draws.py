@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from baselines.heights.scene_heights import RenderedHeights, SceneHeights
 from baselines.training.tasks.split_queries import TRACK_OF, Guesses, SplitQueries, new_guess
 from kit1000.dataset.reader import Dataset
-from kit1000.perception.heights.scene_heights import RenderedHeights, SceneHeights
 from kit1000.pose import Pose
 from kit1000.queries.motions import goal_motion, goal_pose
 from kit1000.values import Query, Truth

@@ -11,7 +11,7 @@ from kit1000.camera import Camera
 from kit1000.numerics.elimination import solve_positive
 from kit1000.numerics.linear_algebra import matmul
 from kit1000.perception.calibration.table_top import HALF_SIZES, ground, rays
-from kit1000.perception.sensor_facts import AnySensor, needs_restoring, table_is_simulated
+from kit1000.perception.sensor_facts import SensorFacts
 from kit1000.pose import Pose
 from kit1000.values import View
 
@@ -56,10 +56,10 @@ class OutlineEdge:
 OUTLINE = tuple(OutlineEdge(axis, side) for axis in (0, 1) for side in (1, -1))
 
 
-def borders_of(sensor: AnySensor) -> tuple[OutlineEdge, ...]:
-    """The edges that an image of a sensor may use: none of a scanner, whose plane suffices, and none of a table of an
+def borders_of(sensor: SensorFacts) -> tuple[OutlineEdge, ...]:
+    """The edges that an image of a sensor may use: none of a scanner, whose plane suffices, and none of a table of
     unknown size."""
-    return OUTLINE if needs_restoring(sensor) and table_is_simulated(sensor) else ()
+    return OUTLINE if sensor.kind.restores and sensor.simulated_table else ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,7 +27,7 @@ from kit1000.perception.calibration.plane import (
     table_plane,
 )
 from kit1000.perception.calibration.table_top import flattened
-from kit1000.perception.sensor_facts import AnySensor
+from kit1000.perception.sensor_facts import SensorFacts
 from kit1000.pose import Pose
 from kit1000.sim.sensors import SENSORS
 from kit1000.values import View
@@ -90,12 +90,12 @@ def calibrated(
     return flattened(corrected, labels) if flat and corrected is not view else corrected
 
 
-def calibrated_by(view: View, labels: np.ndarray, sensor: AnySensor) -> View:
+def calibrated_by(view: View, labels: np.ndarray, sensor: SensorFacts) -> View:
     """The view as `calibrated` has it, with the borders and the reach that belong to a noisy sensor."""
     return camera_estimate_by(view, labels, sensor).view
 
 
-def camera_estimate_by(view: View, labels: np.ndarray, sensor: AnySensor) -> CameraEstimate:
+def camera_estimate_by(view: View, labels: np.ndarray, sensor: SensorFacts) -> CameraEstimate:
     """The camera of a view of a noisy sensor, by the borders and the reach that belong to it."""
     return camera_estimate(view, labels, borders_of(sensor), reach_of(sensor, view), correlated_in(sensor))
 

@@ -10,7 +10,7 @@ from scipy.ndimage import binary_dilation
 from kit1000.numerics.elimination import solve_positive
 from kit1000.numerics.linear_algebra import eigenvectors, matmul
 from kit1000.perception.calibration.table_top import rays
-from kit1000.perception.sensor_facts import AnySensor, gain_of, needs_restoring, table_is_simulated
+from kit1000.perception.sensor_facts import SensorFacts
 from kit1000.pose import Pose
 from kit1000.values import View
 
@@ -49,21 +49,20 @@ def plane_coefficients(pose: Pose) -> np.ndarray:
     return -pose.inverse().rotate((0.0, 0.0, 1.0)) / pose.xyz[2]
 
 
-def reach_of(sensor: AnySensor, view: View) -> float:
+def reach_of(sensor: SensorFacts, view: View) -> float:
     """[m] from the recorded plane of pixels that may show the table.
 
     The plane of an own image was found in it, so that only its noise is left; beside it may be walls.
     """
-    if table_is_simulated(sensor):
+    if sensor.simulated_table:
         return PLANE_REACH
-    assert not isinstance(sensor, str), "simulated sensors have simulated tables"
-    gain = gain_of(view.camera, sensor)
+    gain = sensor.gain(view.camera)
     return max(OWN_REACH, OWN_SPREADS * sensor.noise_px * float(view.world_from_camera.xyz[2]) ** 2 / gain)
 
 
-def correlated_in(sensor: AnySensor) -> float:
+def correlated_in(sensor: SensorFacts) -> float:
     """How many of the pixels that enter the plane count as one, in an image of a sensor."""
-    return BENT if needs_restoring(sensor) else CORRELATED
+    return BENT if sensor.kind.restores else CORRELATED
 
 
 def table_plane(

@@ -91,7 +91,7 @@ class ObservedColumns:
         solid = (likely | thin) & ~(self.distance > 0) & self.above_floor
         return self._volume(_largest(solid), self._near())
 
-    def surely_solid(self) -> Volume:
+    def sure(self) -> Volume:
         """Signed distances to what lies at most SURE behind an observed surface."""
         behind = -SURE / (DEFAULT_TRUNCATION * self.grid.voxel_size / 2)
         return self._volume((self.distance <= 0) & (self.distance > behind) & self.above_floor, self._near())

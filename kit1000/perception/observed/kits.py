@@ -8,9 +8,10 @@ from functools import cached_property
 
 import numpy as np
 
+from kit1000.perception.image_kinds import Noise
 from kit1000.perception.observed.filled_columns import ObservedColumns
 from kit1000.perception.observed.fusion import MaskedView
-from kit1000.perception.observed.pixels import Noise, cropped, oriented_points, subpixel_points
+from kit1000.perception.observed.pixels import cropped, oriented_points, subpixel_points
 from kit1000.perception.observed.plates import Plane, find_planes, plane_frame
 from kit1000.perception.observed.relief import CompletedRelief, SeenRelief, seen_relief
 from kit1000.pose import Pose
@@ -20,6 +21,8 @@ from kit1000.voxels import Volume
 
 HALF_WIDTH = 0.045  # [m] from the middle of a volume to its sides: no part of 50 mm is wider
 HALF_HEIGHT = 0.03  # [m] to its top and bottom: no cavity is deeper, and nothing higher touches a part
+Completer = Callable[[SeenRelief], CompletedRelief]
+"""Completes what no pixel shows of a plate."""
 UPRIGHT = Plane(np.array([0.0, 0.0, 1.0]), np.zeros(3), 0.0)
 
 
@@ -33,7 +36,7 @@ class ObservedKits:
     """Name of the image and of the stream of its random draws."""
     half_width: float = HALF_WIDTH
     """[m] from the middle of a volume to its sides."""
-    completer: Callable[[SeenRelief], CompletedRelief] | None = None
+    completer: Completer | None = None
     """The network that completes what no pixel shows; None leaves it free where no point of a column was observed."""
 
     @property

@@ -21,18 +21,15 @@ TABLE_MARGIN = 0.06  # [m] around a part: the pixels from which the height of th
 OUTLIERS = 0.02  # share of a part's points that is cut off at either end of each axis
 
 
-class PartEvidence(NamedTuple):
-    """A part of which images show some sides: three solids.
-
-    The true part contains what is surely solid and lies within what is possible; the filled one is a guess between.
-    """
+class PartBounds(NamedTuple):
+    """Bounds of a part of which images show some sides: the true part contains `sure` and lies within `possible`."""
 
     filled: Volume
-    """Solid below the observed points down to the table, except for free space."""
-    surely_solid: Volume
-    """Just behind the observed surface."""
+    """A guess between both: solid below the observed points down to the table, except for free space."""
+    sure: Volume
+    """Solid just behind the observed surface."""
     possible: Volume
-    """All but what is surely free: observed to be, outside the silhouette, or below the table."""
+    """All that is not surely free, that is seen free, outside the silhouette, or below the table."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,10 +55,10 @@ class ObservedPart:
         """
         return self.columns(voxel).filled(largest_only=True)
 
-    def evidence(self, voxel: float) -> PartEvidence:
-        """What is certain about the part and what is not, each on the grid of `volume`."""
+    def bounds(self, voxel: float) -> PartBounds:
+        """The bounds of the part, each on the grid of `volume`."""
         columns = self.columns(voxel)
-        return PartEvidence(columns.filled(largest_only=True), columns.surely_solid(), columns.possible())
+        return PartBounds(columns.filled(largest_only=True), columns.sure(), columns.possible())
 
     def columns(self, voxel: float) -> ObservedColumns:
         """What the image shows, in cells of half a voxel [m]."""

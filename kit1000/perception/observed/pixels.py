@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from scipy.ndimage import uniform_filter
 
@@ -13,40 +11,6 @@ from kit1000.values import LabelledDepth, View
 
 SUBPIXELS = 4  # points across a pixel: closer than columns, also on slanted surfaces
 STRIDE = 2  # a normal for every second pixel of every second row
-
-
-class Noise(NamedTuple):
-    """What the noise of an image allows."""
-
-    distance: float
-    """[m] of the points of a plane from it."""
-    angle: float
-    """[rad] between the facets of a face."""
-    window: int
-    """[px] over which normals are averaged."""
-    square: float = 0.0
-    """[rad] from upright or level, within which a face of a part is taken to be so."""
-    bent: bool = False
-    """Whether rims may be farther off than `distance`."""
-    dark: bool = False
-    """Whether a whole cavity may be without a return, in the shadow of its rim."""
-
-
-IDEAL = Noise(0.5e-3, float(np.radians(4)), 3)
-SENSOR = Noise(2e-3, float(np.radians(8)), 7, float(np.radians(6)))
-SCANNER = Noise(1e-3, float(np.radians(6)), 5, float(np.radians(6)), dark=True)
-RESTORED = Noise(1.2e-3, float(np.radians(6)), 5, float(np.radians(6)), bent=True)
-"""Noise of an image of SENSOR that a network restored."""
-
-
-NOISES = {"ideal": IDEAL, "photoneo": SCANNER}
-
-
-def noise_of(sensor: str, restored: bool = False) -> Noise:
-    """The noise of the images of a sensor, as they are or restored by a network."""
-    if sensor in NOISES:
-        return NOISES[sensor]
-    return RESTORED if restored else SENSOR
 
 
 def cropped(image: LabelledDepth, box: tuple[slice, slice]) -> LabelledDepth:

@@ -11,7 +11,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from kit1000.numerics.compiled import compiled
 from kit1000.numerics.linear_algebra import eigenvectors, length, matmul
-from kit1000.perception.observed.pixels import Noise
+from kit1000.perception.image_kinds import Noise
 from kit1000.pose import Pose, unit_vector
 
 HYPOTHESES = 400
@@ -72,8 +72,7 @@ def without_nested(planes: Sequence[Plane], points: np.ndarray, normals: np.ndar
     kept: list[Plane] = []
     outlines: list[np.ndarray] = []
     for plane in planes:
-        far = np.abs(matmul(points - plane.point, plane.normal))
-        own = points[(far < 2 * noise.distance) & (matmul(normals, plane.normal) > np.cos(2 * noise.angle))]
+        own = points[on_plane(plane, points, normals, noise)]
         if any(map(partial(_mostly_within, own), kept, outlines)):
             continue
         try:
@@ -83,6 +82,12 @@ def without_nested(planes: Sequence[Plane], points: np.ndarray, normals: np.ndar
         kept.append(plane)
         outlines.append(outline)
     return kept
+
+
+def on_plane(plane: Plane, points: np.ndarray, normals: np.ndarray, noise: Noise) -> np.ndarray:
+    """(n,) bool: which points (n, 3) [m] with normals (n, 3) lie on a plane and face its way."""
+    near = np.abs(matmul(points - plane.point, plane.normal)) < 2 * noise.distance
+    return near & (matmul(normals, plane.normal) > np.cos(2 * noise.angle))
 
 
 def _mostly_within(points: np.ndarray, plane: Plane, outline: np.ndarray) -> bool:

@@ -14,8 +14,9 @@ import numpy as np
 from kit1000.mesh import Mesh
 from kit1000.numerics.compiled import compiled
 from kit1000.numerics.linear_algebra import length, matmul
+from kit1000.perception.image_kinds import Noise
 from kit1000.perception.observed.occupancy import filled_share
-from kit1000.perception.observed.pixels import Noise, depth_slopes, transformed
+from kit1000.perception.observed.pixels import depth_slopes, transformed
 from kit1000.perception.observed.plates import Plane, plane_frame
 from kit1000.pose import Pose
 from kit1000.values import ASSEMBLY_LABEL, LabelledDepth

@@ -8,7 +8,7 @@ import numpy as np
 
 from kit1000.camera import Camera
 from kit1000.perception.restoration.rules import close_gaps, ground_inverse_depth
-from kit1000.perception.sensor_facts import AnySensor, gain_of
+from kit1000.perception.sensor_facts import SensorFacts
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, View
 
 Evidence = dict[str, np.ndarray]
@@ -19,7 +19,7 @@ LEVEL_STEP = 3  # [px] between them
 STARTS = ((16, 16), (11, 7), (8, 13))  # [px] above and left of a box, where images of it begin; odd in number
 
 
-def evidence(image: LabelledDepth, closed: View, sensor: AnySensor) -> Evidence:
+def evidence(image: LabelledDepth, closed: View, sensor: SensorFacts) -> Evidence:
     """What the network reads of a calibrated image: see `RestorationNet.forward`; (H, W) arrays, `slope`, `level`.
 
     closed: its view as of `closed_gaps`.
@@ -30,7 +30,7 @@ def evidence(image: LabelledDepth, closed: View, sensor: AnySensor) -> Evidence:
     return _evidence(closed, returned, kinds, sensor) | {"level": noise_level(image.view, table, sensor)}
 
 
-def unlabelled_evidence(view: View, sensor: AnySensor) -> Evidence:
+def unlabelled_evidence(view: View, sensor: SensorFacts) -> Evidence:
     """The same of a calibrated view without masks: `labels` is 0 everywhere."""
     depth, everywhere = view.depth.copy(), np.ones(view.depth.shape, bool)
     close_gaps(depth, everywhere)
@@ -39,7 +39,7 @@ def unlabelled_evidence(view: View, sensor: AnySensor) -> Evidence:
     return read | {"level": noise_level(view, returned, sensor)}
 
 
-def noise_level(calibrated: View, mask: np.ndarray, sensor: AnySensor) -> np.ndarray:
+def noise_level(calibrated: View, mask: np.ndarray, sensor: SensorFacts) -> np.ndarray:
     """(1,) float32 [px]: how far disparities are from those of the table's plane, noise and bending together.
 
     1.4826 times the median, the RMS if they are normal, of the pixels of a mask (H, W) within NEAR_TABLE px, every
@@ -47,29 +47,29 @@ def noise_level(calibrated: View, mask: np.ndarray, sensor: AnySensor) -> np.nda
     """
     some = np.s_[::LEVEL_STEP, ::LEVEL_STEP]
     depth, mask = calibrated.depth[some], mask[some] & (calibrated.depth[some] > 0)
-    gain = gain_of(calibrated.camera, sensor)
+    gain = sensor.gain(calibrated.camera)
     away = gain * np.abs(1 / depth[mask] - ground_inverse_depth(calibrated, LEVEL_STEP)[mask])
     away = away[away < NEAR_TABLE]
     level = 1.4826 * float(np.median(away)) if len(away) else 0.0
     return np.array([level], np.float32)
 
 
-def _evidence(view: View, returned: np.ndarray, kinds: np.ndarray, sensor: AnySensor) -> Evidence:
+def _evidence(view: View, returned: np.ndarray, kinds: np.ndarray, sensor: SensorFacts) -> Evidence:
     disparity = above_table(view.depth, view, sensor)
-    slope = gain_of(view.camera, sensor) * ground_slope(view)
+    slope = sensor.gain(view.camera) * ground_slope(view)
     return {"disparity": disparity, "returned": returned, "labels": kinds.astype(np.uint8), "slope": slope}
 
 
-def above_table(depth: np.ndarray, calibrated: View, sensor: AnySensor) -> np.ndarray:
+def above_table(depth: np.ndarray, calibrated: View, sensor: SensorFacts) -> np.ndarray:
     """(H, W) float32 [px]: disparities of depths (H, W) [m] in the image of a calibrated view; 0 without surface."""
     seen = depth > 0
     above = 1 / np.where(seen, depth, 1.0) - ground_inverse_depth(calibrated)
-    return np.where(seen, gain_of(calibrated.camera, sensor) * above, 0.0).astype(np.float32)
+    return np.where(seen, sensor.gain(calibrated.camera) * above, 0.0).astype(np.float32)
 
 
-def depths(disparity: np.ndarray, view: View, box: Box, sensor: AnySensor) -> np.ndarray:
+def depths(disparity: np.ndarray, view: View, box: Box, sensor: SensorFacts) -> np.ndarray:
     """[m] float32: the depths of disparities in a box of a calibrated view."""
-    gain = gain_of(view.camera, sensor)
+    gain = sensor.gain(view.camera)
     inverse = ground_inverse_depth(view)[box] + disparity / gain
     return (1 / np.maximum(inverse, 1e-3)).astype(np.float32)
 

@@ -19,10 +19,10 @@ from kit1000.perception.restoration.disparity import Box, Evidence, depths, evid
 from kit1000.perception.restoration.network import RestorationConfig, RestorationNet
 from kit1000.perception.restoration.restorer import bodies_in, mixture_in, rounded
 from kit1000.perception.restoration.rules import closed_gaps
-from kit1000.perception.sensor_facts import AnySensor, table_is_simulated
+from kit1000.perception.sensor_facts import SensorFacts, simulated_sensor
 from kit1000.values import LabelledDepth
 
-UNIT = "d415"  # sensor in whose disparities the network reads and tells depths
+UNIT = simulated_sensor("d415")  # sensor in whose disparities the network reads and predicts depths
 LEAST_SURE = 0.5  # probability of a depth within NEAR, from which on it is filled in
 NEAR = 0.12  # [px] of disparity: 1.5 mm from 0.8 m
 SURE_DECIMALS = 6  # of that probability: the last digits of exponentials depend on the processor
@@ -48,9 +48,9 @@ class HoleFiller:
         """weights: stem of the files, or the network itself; it calculates in float64, see `Restorer`."""
         self.net = in_float64(folded(ready(weights, RestorationConfig, RestorationNet)).to("cpu"))
 
-    def __call__(self, image: LabelledDepth, sensor: AnySensor, labels: Sequence[int]) -> LabelledDepth:
+    def __call__(self, image: LabelledDepth, sensor: SensorFacts, labels: Sequence[int]) -> LabelledDepth:
         """A calibrated image with the holes of the bodies of some labels filled where the network is sure."""
-        read, empty = hole_evidence(image, table_is_simulated(sensor)), holes(image)
+        read, empty = hole_evidence(image, sensor.simulated_table), holes(image)
         depth = image.view.depth.copy()
         for wide, mask in bodies_in(image, labels):
             disparity, sure = self._likeliest(read, wide)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +26,7 @@ from kit1000.perception.restoration.disparity import (
 )
 from kit1000.perception.restoration.network import SIDE, Mixture, RestorationConfig, RestorationNet
 from kit1000.perception.restoration.rules import closed_gaps
-from kit1000.perception.sensor_facts import AnySensor, gain_of, needs_restoring, table_is_simulated
+from kit1000.perception.sensor_facts import SensorFacts
 from kit1000.values import LabelledDepth, View
 
 HEIGHT = 4e-3  # [m] along the ray, in front of the table, from which on something is a body
@@ -49,27 +49,25 @@ class Restorer:
         self.net = in_float64(net) if exact else net.to(memory_format=torch.channels_last)
         self.precision = torch.float64 if exact else torch.float32
 
-    def __call__(self, image: LabelledDepth, sensor: AnySensor, labels: Sequence[int]) -> LabelledDepth:
-        """A calibrated image with its table on its plane, and the bodies of some labels where they likely are.
+    def __call__(self, image: LabelledDepth, sensor: SensorFacts, labels: Sequence[int]) -> LabelledDepth:
+        """A calibrated image with its table on its plane and the bodies of some labels denoised.
 
         Bodies of other labels stay as they were measured, but for their narrow shadows; so does all depth of sensors
         that need no restoring.
         """
-        if not needs_restoring(sensor):
-            return image
-        closed = closed_gaps(image, table_is_simulated(sensor)).view
-        read, depth = evidence(image, closed, sensor), closed.depth.copy()
-        for wide, mask in bodies_in(image, labels):
-            found = depths(self._median(read, wide, closed), closed, wide, sensor)
-            depth[wide] = np.where(mask, found, depth[wide])
-        return LabelledDepth(replace(closed, depth=depth), image.labels)
+        return self.begin(image, sensor).with_bodies(labels) if sensor.kind.restores else image
 
-    def without_masks(self, view: View, sensor: AnySensor) -> View:
+    def begin(self, image: LabelledDepth, sensor: SensorFacts) -> Restoration:
+        """The restoration of a calibrated image, of which no body is denoised yet."""
+        closed = closed_gaps(image, sensor.simulated_table)
+        return Restoration(self, closed, sensor, evidence(image, closed.view, sensor))
+
+    def without_masks(self, view: View, sensor: SensorFacts) -> View:
         """A calibrated view with bodies and the table about them where they likely are; farther off only the table."""
         read = unlabelled_evidence(view, sensor)
         nothing = np.zeros(view.depth.shape, np.uint8)
-        depth = flattened(view, nothing, table_is_simulated(sensor)).depth.copy()
-        in_front = read["disparity"] * view.depth**2 / gain_of(view.camera, sensor)  # [m] of the table
+        depth = flattened(view, nothing, sensor.simulated_table).depth.copy()
+        in_front = read["disparity"] * view.depth**2 / sensor.gain(view.camera)  # [m] of the table
         high = np.asarray(binary_opening((in_front > HEIGHT) & read["returned"], np.ones((3, 3))), bool)
         rows, columns = (np.flatnonzero(high.any(axis)) for axis in (1, 0))
         if len(rows):
@@ -78,19 +76,43 @@ class Restorer:
             depth[wide] = depths(self.likeliest(read, wide), view, wide, sensor)
         return replace(view, depth=depth)
 
-    def _median(self, read: Evidence, box: Box, view: View) -> np.ndarray:
-        """(h, w) [px] the median of the likeliest disparities in a box, by images that begin at several pixels.
-
-        The network is coarse inside: where an image begins, to SIDE px, changes what it says beside edges.
-        """
-        boxes = shifted_boxes(box, SIDE, view.camera)
-        return np.median([self.likeliest(read, wide)[inside] for wide, inside in boxes], axis=0)
-
     def likeliest(self, read: Evidence, box: Box) -> np.ndarray:
         """(h, w) [px] the likeliest disparities in a box of the image, rounded."""
         with torch.inference_mode():
             likeliest = mixture_in(self.net, read, box, self.precision).likeliest()
         return rounded(likeliest)
+
+
+@dataclass(frozen=True, eq=False)
+class Restoration:
+    """The restoration of one image, body by body."""
+
+    restorer: Restorer
+    closed: LabelledDepth
+    """The image, its table on its plane and narrow shadows of bodies closed."""
+    sensor: SensorFacts
+    inputs: Evidence
+    """What the network reads of the image."""
+
+    def with_bodies(self, labels: Sequence[int], depth: np.ndarray | None = None) -> LabelledDepth:
+        """The image with the bodies of some labels denoised.
+
+        depth: (H, W) [m] of the other bodies; by default those of `closed`.
+        """
+        view = self.closed.view
+        restored = (view.depth if depth is None else depth).copy()
+        for wide, mask in bodies_in(self.closed, labels):
+            found = depths(self._median(wide), view, wide, self.sensor)
+            restored[wide] = np.where(mask, found, restored[wide])
+        return LabelledDepth(replace(view, depth=restored), self.closed.labels)
+
+    def _median(self, box: Box) -> np.ndarray:
+        """(h, w) [px] the median of the likeliest disparities in a box, by images that begin at several pixels.
+
+        The network is coarse inside: where an image begins, to SIDE px, changes what it predicts beside edges.
+        """
+        boxes = shifted_boxes(box, SIDE, self.closed.view.camera)
+        return np.median([self.restorer.likeliest(self.inputs, wide)[inside] for wide, inside in boxes], axis=0)
 
 
 def bodies_in(image: LabelledDepth, labels: Sequence[int]) -> Iterator[tuple[Box, np.ndarray]]:

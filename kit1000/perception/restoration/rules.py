@@ -20,8 +20,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt, find_objects
 
 from kit1000.perception.calibration import calibrated_by, flattened, unbent
-from kit1000.perception.sensor_facts import AnySensor, model_of, needs_restoring, table_is_simulated
-from kit1000.sim.sensors import Sensor
+from kit1000.perception.sensor_facts import SensorFacts, simulated_sensor
 from kit1000.sim.stereo import EDGE_STEP
 from kit1000.values import ASSEMBLY_LABEL, LabelledDepth, Query, View
 
@@ -32,41 +31,42 @@ JUMP = 0.8 * EDGE_STEP  # [px] of disparity between neighbours, less than fatten
 
 def restored_query(query: Query) -> Query:
     """The query with its image restored when it is read; the same query where the sensor is ideal."""
-    if query.sensor == "ideal":
+    sensor = simulated_sensor(query.sensor)
+    if sensor.kind.exact:
         return query
-    return replace(query, read_image=lambda: restored(query.image, query.sensor))
+    return replace(query, read_image=lambda: restored(query.image, sensor))
 
 
-def restored(image: LabelledDepth, sensor: AnySensor) -> LabelledDepth:
+def restored(image: LabelledDepth, sensor: SensorFacts) -> LabelledDepth:
     """The image as the sensor should have measured it, as far as its table and its masks tell; the labels stay."""
     return restored_edges(calibrated_image(image, sensor), sensor)
 
 
-def calibrated_image(image: LabelledDepth, sensor: AnySensor) -> LabelledDepth:
+def calibrated_image(image: LabelledDepth, sensor: SensorFacts) -> LabelledDepth:
     """The image of a noisy sensor, calibrated and unbent by the table; the same image where the sensor is ideal."""
-    if sensor == "ideal":
+    if sensor.kind.exact:
         return image
     return unbent_image(LabelledDepth(calibrated_by(image.view, image.labels, sensor), image.labels), sensor)
 
 
-def unbent_image(image: LabelledDepth, sensor: AnySensor) -> LabelledDepth:
+def unbent_image(image: LabelledDepth, sensor: SensorFacts) -> LabelledDepth:
     """A calibrated image without the smooth errors that a stereo camera's table shows; the same of other sensors."""
-    if not needs_restoring(sensor):
+    if not sensor.kind.restores:
         return image
-    return LabelledDepth(unbent(image.view, image.labels, model_of(sensor).baseline), image.labels)
+    return LabelledDepth(unbent(image.view, image.labels, sensor.baseline), image.labels)
 
 
-def restored_edges(image: LabelledDepth, sensor: AnySensor, columns: bool = False) -> LabelledDepth:
+def restored_edges(image: LabelledDepth, sensor: SensorFacts, columns: bool = False) -> LabelledDepth:
     """A calibrated image with its table on its plane and the edges where they should be; the same one if ideal.
 
     columns: see `close_gaps`.
     """
-    if sensor == "ideal":
+    if sensor.kind.exact:
         return image
-    closed = closed_gaps(image, table_is_simulated(sensor), kits=needs_restoring(sensor), columns=columns)
+    closed = closed_gaps(image, sensor.simulated_table, kits=sensor.kind.restores, columns=columns)
     depth, ground = closed.view.depth.copy(), ground_inverse_depth(closed.view)
     for box, mask in _bodies(image.labels):
-        _cut_back(depth[box], mask, ground[box], closed.view.camera.fx, model_of(sensor))
+        _cut_back(depth[box], mask, ground[box], closed.view.camera.fx, sensor)
     return LabelledDepth(replace(closed.view, depth=depth), image.labels)
 
 
@@ -133,7 +133,7 @@ def _farther(depth: np.ndarray, known: np.ndarray) -> np.ndarray:
     return np.maximum(*(np.where(side >= 0, depth[rows, side], 0) for side in sides))
 
 
-def _cut_back(depth: np.ndarray, mask: np.ndarray, ground: np.ndarray, fx: float, sensor: Sensor) -> None:
+def _cut_back(depth: np.ndarray, mask: np.ndarray, ground: np.ndarray, fx: float, sensor: SensorFacts) -> None:
     """Give the pixels of near surfaces beside a jump of the masked depths (H, W) the far surface there.
 
     ground: (H, W) [1/m] inverse depth of the table's plane, to which the far surface is continued in parallel.

@@ -8,20 +8,18 @@ import numpy as np
 from scipy.ndimage import label, uniform_filter
 
 from kit1000.perception.calibration import calibrated_by
-from kit1000.perception.sensor_facts import AnySensor, key_of, needs_restoring
+from kit1000.perception.image_kinds import ImageKind
+from kit1000.perception.sensor_facts import SensorFacts
 from kit1000.values import View
 
 if TYPE_CHECKING:
     from kit1000.perception.restoration.restorer import Restorer
 
-LEAST_HEIGHT = 3e-4  # [m] above the table that is no part of it, in an ideal image: its grid is 0.12 mm
-SURE_HEIGHT = 6e-3  # [m] the same in a noisy image,
-NOISY_HEIGHT = 2e-3  # [m] and beside such pixels: three times the noise of the table,
-FINE_HEIGHT = 1e-3  # [m] or less where a network restored the image, or of a scanner
-LEAST_SURE = 5  # pixels with a return above SURE_HEIGHT, of a body in an image that a network restored,
-RETURNED = 0.7  # and the share of its pixels with one: the network guesses where the sensor saw nothing
+SURE_HEIGHT = 6e-3  # [m] above the table: a body of a noisy image has a pixel as high as this
+LEAST_SURE = 5  # pixels with a return above SURE_HEIGHT, of a body in an image that a network restored
+RETURNED = 0.7  # least share of such a body's pixels with a return: elsewhere the network only guesses
 OF_LARGEST = 0.1  # share of the largest region on the kits' half: the kits are one body, smaller regions are none
-RECORDED_HEIGHT = 8e-3  # [m] the same before calibration
+RECORDED_HEIGHT = 8e-3  # [m] above the table: before calibration, higher pixels are no part of it
 SHADOW = 40  # [px] the widest gap along a row that is the shadow of a near edge
 WINDOW, SHARE = 11, 0.6  # [px] around a pixel, and the share of body in it: fattened edges are bumpy, parts are not
 
@@ -37,35 +35,50 @@ class Bodies(NamedTuple):
     """(H, W) bool"""
     parts: np.ndarray
     """(H, W) bool"""
-    kind: str
-    """ideal, photoneo, d415, or restored: of the view."""
+    kind: ImageKind
+    """Kind of the view."""
     measured: View
     """The image before edges were restored or shadows closed, calibrated where the sensor is noisy."""
 
 
-def find_bodies(view: View, sensor: AnySensor, restorer: Restorer | None = None) -> Bodies:
+def find_bodies(view: View, sensor: SensorFacts, restorer: Restorer | None = None) -> Bodies:
     """The bodies on the kits' half (y > 0) and the parts' half of the table.
 
-    restorer: a network that restores noisy images without masks; None looks at them as they are.
+    restorer: a network that restores noisy images without masks; None: they are read as they are.
     """
-    noisy, bent = sensor != "ideal", needs_restoring(sensor)
-    network = restorer if bent else None
-    coarse = bent and network is None
-    measured = view
-    if noisy:
-        above = (view.depth > 0) & (world_points(view)[..., 2] > RECORDED_HEIGHT)
-        measured = calibrated_by(view, above.astype(np.uint8), sensor)
-        view = without_shadows(measured) if network is None else network.without_masks(measured, sensor)
-    points = world_points(view)
-    far_half, height = on_far_half(points), np.where(view.depth > 0, points[..., 2], 0.0)
-    if network is not None:
-        body = _restored_regions(height, measured.depth > 0)
-        kits = _largest_regions(body & far_half)
-        return Bodies(view, points, kits, body & ~far_half, "restored", measured)
-    body = _high_regions(height, NOISY_HEIGHT if coarse else FINE_HEIGHT) if noisy else height > LEAST_HEIGHT
-    if coarse:
+    kind = sensor.kind
+    if kind.exact:
+        points, height = _points_and_heights(view)
+        return _halves(view, points, height > kind.segmentation.least_height, kind, view)
+    above = (view.depth > 0) & (world_points(view)[..., 2] > RECORDED_HEIGHT)
+    measured = calibrated_by(view, above.astype(np.uint8), sensor)
+    if restorer is not None and kind.denoised is not None:
+        return _restored_bodies(restorer.without_masks(measured, sensor), kind.denoised, measured)
+    closed = without_shadows(measured)
+    points, height = _points_and_heights(closed)
+    body = _high_regions(height, kind.segmentation.least_height)
+    if kind.restores:
         body = np.asarray(uniform_filter(body.astype(float), WINDOW)) > SHARE
-    return Bodies(view, points, body & far_half, body & ~far_half, key_of(sensor), measured)
+    return _halves(closed, points, body, kind, measured)
+
+
+def _restored_bodies(view: View, kind: ImageKind, measured: View) -> Bodies:
+    """The bodies in a view that a network restored."""
+    points, height = _points_and_heights(view)
+    body, far_half = _restored_regions(height, measured.depth > 0, kind.segmentation.least_height), on_far_half(points)
+    return Bodies(view, points, _largest_regions(body & far_half), body & ~far_half, kind, measured)
+
+
+def _halves(view: View, points: np.ndarray, body: np.ndarray, kind: ImageKind, measured: View) -> Bodies:
+    """The bodies of a mask (H, W), split into the two halves of the table."""
+    far_half = on_far_half(points)
+    return Bodies(view, points, body & far_half, body & ~far_half, kind, measured)
+
+
+def _points_and_heights(view: View) -> tuple[np.ndarray, np.ndarray]:
+    """(H, W, 3) [m] see `world_points`; (H, W) [m] heights above the table, 0 without a return."""
+    points = world_points(view)
+    return points, np.where(view.depth > 0, points[..., 2], 0.0)
 
 
 def _regions(mask: np.ndarray) -> np.ndarray:
@@ -79,9 +92,12 @@ def _high_regions(height: np.ndarray, least: float) -> np.ndarray:
     return np.isin(regions, np.unique(regions[height > SURE_HEIGHT]))
 
 
-def _restored_regions(height: np.ndarray, returned: np.ndarray) -> np.ndarray:
-    """(H, W) bool: regions above FINE_HEIGHT that the sensor saw too. returned: (H, W) bool, pixels with a return."""
-    regions = _regions(height > FINE_HEIGHT)
+def _restored_regions(height: np.ndarray, returned: np.ndarray, least: float) -> np.ndarray:
+    """(H, W) bool: regions above the least height [m] that the sensor saw too.
+
+    returned: (H, W) bool, pixels with a return.
+    """
+    regions = _regions(height > least)
     count = int(regions.max()) + 1
     masks = regions > 0, returned, returned & (height > SURE_HEIGHT)
     pixels, with_return, sure = (np.bincount(regions[mask], minlength=count) for mask in masks)

@@ -9,35 +9,22 @@ from scipy.ndimage import find_objects
 
 from kit1000.numerics.linear_algebra import matmul
 from kit1000.perception.segmentation.bodies import Bodies, find_bodies
-from kit1000.perception.segmentation.merging import LOW, Pieces, merged
-from kit1000.perception.segmentation.pieces import SCALES, find_pieces
-from kit1000.perception.sensor_facts import AnySensor
+from kit1000.perception.segmentation.merging import Pieces, merged
+from kit1000.perception.segmentation.pieces import find_pieces
+from kit1000.perception.sensor_facts import SensorFacts, simulated_sensor
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, View
 
 if TYPE_CHECKING:
     from kit1000.perception.restoration.restorer import Restorer
     from kit1000.perception.segmentation.part_finder import PartFinder
 
-LEAST_PART = {
-    "ideal": 60,
-    "photoneo": 60,
-    "restored": 150,
-    "d415": 60,
-}  # [px] fewer are noise, or a corner of a hidden part
 MOST_PARTS = 253  # labels of 8 bits hold no more
-IDEAL = np.array([8.33, -0.12, -0.17, -0.07, -0.81, -4.10, -2.31, -1.16, 6.01, 5.46, 1.96, -0.57, 6.68])
-WEIGHTS = {
-    "ideal": IDEAL,
-    "photoneo": IDEAL,
-    "restored": IDEAL,  # fitted to restored images they split more parts (val)
-    "d415": np.array([2.73, -0.09, 0.03, -0.22, 0.08, 0.55, 0.32, -2.09, 6.02, 3.73, 0.45, -0.34, -5.13]),
-}
-"""Weights of the features of a pair, by kind of image, fitted to the training split."""
+IDEAL = simulated_sensor("ideal")
 
 
 def segmented(
     view: View,
-    sensor: AnySensor = "ideal",
+    sensor: SensorFacts = IDEAL,
     scale: float = 1.0,
     restorer: Restorer | None = None,
     finder: PartFinder | None = None,
@@ -46,19 +33,19 @@ def segmented(
 
     Args:
         view: as recorded.
-        sensor: of its noise: ideal, photoneo, d415, or the facts about another one.
+        sensor: the facts about its sensor.
         scale: of the scene, as the dataset's configuration states it.
         restorer: a network that restores noisy images without masks; None looks at them as they are.
         finder: a network that tells parts apart in restored images; None merges pieces, as in ideal ones.
     """
     bodies = find_bodies(view, sensor, restorer)
     labels = np.where(bodies.kits, ASSEMBLY_LABEL, 0).astype(np.uint8)
-    parts = finder(bodies) if finder is not None and bodies.kind == "restored" else _merged_pieces(bodies, scale)
+    parts = finder(bodies) if finder is not None and bodies.kind.segmentation.network else _merged_pieces(bodies, scale)
     boxes, number = find_objects(parts), 0
     for part in dict.fromkeys(parts[parts > 0].tolist()):
         box = boxes[part - 1]
         mask = parts[box] == part
-        if mask.sum() >= LEAST_PART[bodies.kind] and number < MOST_PARTS:
+        if mask.sum() >= bodies.kind.segmentation.least_pixels and number < MOST_PARTS:
             labels[box][mask] = FIRST_PART_LABEL + number
             number += 1
     return labels
@@ -69,8 +56,8 @@ def _merged_pieces(bodies: Bodies, scale: float) -> np.ndarray:
     parts = np.zeros(bodies.parts.shape, int)
     pieces, joined, points, box = pieces_of(bodies)
     if pieces.max() > 0:
-        weights = WEIGHTS[bodies.kind][:, None]
-        described = Pieces.of(pieces, joined, points, LOW[bodies.kind], scale)
+        weights = np.array(bodies.kind.segmentation.weights)[:, None]
+        described = Pieces.of(pieces, joined, points, bodies.kind.segmentation.foot, scale)
         home = merged(described, lambda rows: matmul(rows, weights)[:, 0])
         parts[box] = np.array([0, *(home[label] for label in range(1, int(pieces.max()) + 1))])[pieces]
     return parts
@@ -84,5 +71,5 @@ def pieces_of(bodies: Bodies) -> tuple[np.ndarray, list[np.ndarray], np.ndarray,
         return np.zeros((1, 1), int), [], np.zeros((1, 1, 3)), np.s_[0:1, 0:1]
     box = np.s_[max(rows[0] - 1, 0) : rows[-1] + 2, max(columns[0] - 1, 0) : columns[-1] + 2]
     depth = bodies.view.depth[box].astype(float)
-    labels, joined = find_pieces(depth, bodies.parts[box], SCALES[bodies.kind])
+    labels, joined = find_pieces(depth, bodies.parts[box], bodies.kind.segmentation)
     return labels, joined, bodies.points[box], box

@@ -17,12 +17,6 @@ from kit1000.numerics.compiled import compiled
 from kit1000.perception.segmentation.pieces import AXES, neighbours
 
 REACH = 12e-3  # [m] between the outlines of pieces that may be of one part
-LOW = {
-    "ideal": 2e-3,
-    "photoneo": 2.5e-3,
-    "restored": 3e-3,
-    "d415": 6e-3,
-}  # [m] above the table: a piece that ends there beside it stands on it
 SPECK = 4e-4  # [m] half the width that a piece has at least
 FEATURES = (
     "one", "gap", "beyond 4 mm", "overlap", "defect", "width", "beyond 55 mm", "area",

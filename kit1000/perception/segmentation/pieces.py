@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
+
+from kit1000.perception.image_kinds import Segmentation
 
 SMALLEST = 12  # [px] of a piece between creases; smaller ones go to their neighbours
 MOST_PIECES = 200  # of an image; real scenes have up to 60
@@ -14,26 +14,7 @@ MOST_ROUNDS = 60  # [px] by which pieces grow back over creases
 AXES = (0, 1)
 
 
-class Scale(NamedTuple):
-    """From which size on a step or a crease is one, above the noise of the image."""
-
-    step: float
-    """[m] in depth between neighbours, beyond what their slopes explain."""
-    lever: int
-    """[px] to either side of a crease."""
-    valley: float
-    """[m] by which a crease is deeper than the mean of both sides."""
-
-
-SCALES = {
-    "ideal": Scale(1.5e-3, 2, 0.35e-3),
-    "photoneo": Scale(2e-3, 3, 1e-3),
-    "restored": Scale(2e-3, 3, 1e-3),
-    "d415": Scale(4e-3, 5, 2.5e-3),
-}
-
-
-def find_pieces(depth: np.ndarray, mask: np.ndarray, scale: Scale) -> tuple[np.ndarray, list[np.ndarray]]:
+def find_pieces(depth: np.ndarray, mask: np.ndarray, scale: Segmentation) -> tuple[np.ndarray, list[np.ndarray]]:
     """The pieces of a mask.
 
     Args:
@@ -104,7 +85,7 @@ def _without_step(depth: np.ndarray, mask: np.ndarray, axis: int, most: float) -
     return np.moveaxis(both & (excess < most), 0, axis)
 
 
-def _creases(depth: np.ndarray, mask: np.ndarray, scale: Scale) -> np.ndarray:
+def _creases(depth: np.ndarray, mask: np.ndarray, scale: Segmentation) -> np.ndarray:
     """(h, w) bool: where the surface is a valley. Inverse depth is linear in the image on any plane."""
     k, valleys = scale.lever, np.zeros(mask.shape, bool)
     for axis in AXES:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kit1000.perception.segmentation.instances import segmented
-from kit1000.perception.sensor_facts import AnySensor, needs_restoring, sensor_of
+from kit1000.perception.sensor_facts import SensorFacts, sensor_of, simulated_sensor
 from kit1000.predictor import PredictedMotion, Predictor
 from kit1000.queries.pivots import part_pivots
 from kit1000.values import FIRST_PART_LABEL, LabelledDepth, Query, TrueGeometry
@@ -41,13 +41,13 @@ class OnPredictedMasks:
         return self.predictor(with_predicted_masks(query, self.scale, sensor), geometry)
 
 
-def with_predicted_masks(query: Query, scale: float = 1.0, sensor: AnySensor | None = None) -> Query:
+def with_predicted_masks(query: Query, scale: float = 1.0, sensor: SensorFacts | None = None) -> Query:
     """The query with masks from its depth image alone. Its pivot says which instance is the part: the nearest one.
 
     sensor: facts about it, where its name does not tell.
     """
-    seen_by = sensor or query.sensor
-    restorer, finder = mask_networks() if needs_restoring(seen_by) else (None, None)
+    seen_by = sensor or simulated_sensor(query.sensor)
+    restorer, finder = mask_networks() if seen_by.kind.restores else (None, None)
     labels = segmented(query.view, seen_by, scale, restorer, finder).copy()
     own = FIRST_PART_LABEL + query.part
     pivots = part_pivots(query.view, labels)

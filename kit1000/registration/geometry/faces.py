@@ -11,10 +11,10 @@ from scipy.spatial import ConvexHull, QhullError
 
 from kit1000.numerics.linear_algebra import length, matmul
 
-OVERHANG = 1e-3  # [m] by which the middle of a part may lie outside the outline of a face it stands on
+OVERHANG = 1e-3  # [m] by which the middle of a part may lie outside the outline of a face on which it stands
 SMALLEST = 4e-6  # [m^2] of a face
-MOST = 24  # faces that are tried
-PAIRED = 5  # first normals of a list of which pairs give a third direction
+MOST = 24  # facets of the hull from which faces are grown
+PAIRED = 5  # normals at the head of the list whose pairs give a third direction
 AREA_DECIMALS = 12  # of a square metre: facets of equal area are taken in the order of the hull
 
 
@@ -28,17 +28,13 @@ class Face:
     """[m^2]"""
 
 
-def standing_faces(
-    points: np.ndarray, middle: np.ndarray, angle: float, directions: np.ndarray | None = None, cone: float = np.pi
-) -> list[Face]:
-    """The faces of the hull of points (n, 3) [m] on which a part with that middle (3,) [m] stands, largest first.
+def standing_faces(points: np.ndarray, middle: np.ndarray, angle: float) -> list[Face]:
+    """The faces of the hull of points (n, 3) [m] on which a part with a middle (3,) [m] stands, the largest first.
 
     Args:
         points: of the part, world.
         middle: of the part, world.
         angle: [rad] facets within this angle are one face; larger for noisier points.
-        directions: (m, 3) unit; only faces whose normal lies within `cone` of one of them.
-        cone: [rad]
     """
     if len(points) < 4:
         return []
@@ -51,7 +47,7 @@ def standing_faces(
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
     ranks = areas.round(AREA_DECIMALS)
     faces = []
-    free = np.ones(len(areas), bool) if directions is None else matmul(normals, directions.T).max(1) > np.cos(cone)
+    free = np.ones(len(areas), bool)
     for _ in range(MOST):
         if not free.any():
             break
@@ -71,7 +67,7 @@ def standing_faces(
 
 
 def squared(normal: np.ndarray, angle: float) -> np.ndarray:
-    """A face's normal (3,), put upright or level where it is so within an angle [rad].
+    """A face's normal (3,), put exactly upright or level if it is so within an angle [rad].
 
     A part lies on a flat side, and most sides of machine parts are parallel to it or at right angles.
     """
@@ -84,10 +80,10 @@ def squared(normal: np.ndarray, angle: float) -> np.ndarray:
 
 
 def right_angled(normals: Sequence[np.ndarray], angle: float) -> list[np.ndarray]:
-    """Normals (3,), their opposites, and the directions at right angles to two of the first that are so themselves.
+    """Normals (3,), their opposites, and the directions at right angles to two of them that are at right angles.
 
-    Machine parts are mostly right-angled: sides that an image does not show are like that to those that it shows. Of
-    directions less than two angles [rad] apart the first is kept.
+    Machine parts are mostly right-angled: hidden sides are parallel or at right angles to those that an image shows.
+    Among directions less than two angles [rad] apart the first is kept.
     """
     first = list(normals)
     across = [

@@ -29,8 +29,8 @@ from kit1000.errors import InputError
 from kit1000.metrics import Targets, pose_errors
 from kit1000.perception.observed.kits import ObservedKits
 from kit1000.perception.observed.parts import ObservedPart
-from kit1000.perception.observed.pixels import noise_of
 from kit1000.perception.restoration import restored_query
+from kit1000.perception.sensor_facts import simulated_sensor
 from kit1000.pose import Pose, quaternion_angle
 from kit1000.queries.guesses import MAX_OFFSET
 from kit1000.queries.motions import apply_error, goal_motion
@@ -218,7 +218,7 @@ def test_cropped_images_give_the_volumes_of_the_whole_image(data: Dataset, senso
     grid, view, mask = grid_about(work, CELLS, VOXEL), query.view, query.kit_region
     kit = sample.volumes.kit_volume(work, CELLS, VOXEL)
     assert differing(kit, tsdf(grid, view, mask, threads=1).filled(1)) < 1e-4
-    whole = ObservedKits(query.image, noise_of(sensor), query.scene_id).volume(work.xyz, VOXEL)
+    whole = ObservedKits(query.image, simulated_sensor(sensor).kind.noise, query.scene_id).volume(work.xyz, VOXEL)
     columns = sample.volumes.kit_volume(work, CELLS, VOXEL, columns=True)
     assert differing(columns, resample(whole, grid, threads=1).filled(1)) < 1e-2
     assert (columns < 0).sum() > (kit < 0).sum()

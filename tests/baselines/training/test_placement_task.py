@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 import pytest
@@ -18,23 +17,29 @@ from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.perception.placement.channels import CELLS, Channel
 from kit1000.pose import Pose
-from kit1000.registration.inputs.volume_sources import DepthSource
-from kit1000.registration.refinement.plate_patch import PlatePatch, plate_patch
+from kit1000.registration.image_refine import PlatePatch, plate_patch
+from kit1000.registration.prepared_image import RestoredImage
+from kit1000.registration.search import Candidate
 from kit1000.weights import WEIGHTS
-from tests.samples.known_source import KnownSource
-from tests.samples.registration_cases import CLEARANCE, case
-from tests.samples.registration_images import image_of, moved
+from tests.samples.registration_cases import CLEARANCE, case, known_shape
+from tests.samples.registration_images import CAMERA, image_of, moved
 
 NAME = "an L"
+
+
+def patch_of(fit: Candidate, cells: int) -> PlatePatch:
+    """The patch of a fit of the known part in its exact image."""
+    image, part = image_of(NAME), known_shape(case(NAME).part, case(NAME).pivot)
+    patch = plate_patch(part, RestoredImage(image, image, CAMERA.fx * 0.055), fit, CLEARANCE, cells)
+    assert patch is not None
+    return patch
 
 
 def patch_at(x_mm: float, y_mm: float, yaw_deg: float, cells: int = CELLS) -> tuple[PlatePatch, np.ndarray]:
     """The patch of a fit that far from the goal in the plate, and its move to the goal."""
     known = case(NAME)
     fit = moved(known, x_mm, y_mm, yaw_deg)
-    source = cast(DepthSource, KnownSource(image_of(NAME), known.part, known.pivot))
-    patch = plate_patch(source, fit, CLEARANCE, cells)
-    assert patch is not None
+    patch = patch_of(fit, cells)
     goal_from_now = fit.cavity.world_from_plate @ fit.plate_from_now
     return patch, MM * patch.twist_to(known.goal, goal_from_now, known.pivot)[IN_PLATE].astype(np.float32)
 
@@ -61,12 +66,10 @@ def test_a_shifted_fit_is_the_cavity_there(shift_mm: tuple[float, float]) -> Non
     """The cavity of a changed fit is that of a fit which lies there, and what the image shows of it stays."""
     here, move = wide()
     along = here.world_from_patch.rotate((*shift_mm, 0.0)) * 1e-3
-    known, at_goal = case(NAME), moved(case(NAME), 0, 0, 0)
+    at_goal = moved(case(NAME), 0, 0, 0)
     plate = at_goal.cavity.world_from_plate.inverse()
     there = replace(at_goal, plate_from_now=Pose.from_translation(plate.rotate(along)) @ at_goal.plate_from_now)
-    source = cast(DepthSource, KnownSource(image_of(NAME), known.part, known.pivot))
-    patch = plate_patch(source, there, CLEARANCE, CELLS)
-    assert patch is not None
+    patch = patch_of(there, CELLS)
     seen, true = apply(here, move, shift=np.array(shift_mm))
     np.testing.assert_allclose(true[0].numpy() - move, [0, -shift_mm[0], -shift_mm[1]], atol=1e-5)
     x, y = np.array(shift_mm).round().astype(int)

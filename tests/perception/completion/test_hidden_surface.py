@@ -11,14 +11,15 @@ from scipy.spatial import KDTree
 from kit1000.dataset.reader import Dataset
 from kit1000.mesh import Mesh, surface_points
 from kit1000.perception.completion.kits.hidden_surface import hidden_surface, hidden_surfaces
+from kit1000.perception.image_kinds import IDEAL
 from kit1000.perception.observed.kits import ObservedKits
-from kit1000.perception.observed.pixels import IDEAL
 from kit1000.perception.observed.plates import Plane
 from kit1000.perception.observed.relief import CELL, DEEPEST, CompletedRelief, SeenRelief, seen_relief
 from kit1000.pose import Pose
-from kit1000.registration.proposed_fits import CompletingRegistration
+from kit1000.registration.predictor import Registration
 from kit1000.rng import stream
 from kit1000.values import Query
+from kit1000.weights import WEIGHTS
 from tests.samples.completers import DEEP, WIDE, KnownPlate, plate_image
 
 MOVED = Pose.from_rotvec((0.0, 0.0, 2.0), (0.3, -0.2, 0.1))
@@ -26,7 +27,7 @@ MOVED = Pose.from_rotvec((0.0, 0.0, 2.0), (0.3, -0.2, 0.1))
 
 def completed(moved: Pose = MOVED) -> CompletedRelief:
     plate = Plane(moved.rotate((0.0, 0.0, 1.0)), moved.xyz, 0.0)
-    return KnownPlate(moved)(seen_relief(plate_image(moved), plate, moved.apply((0.004, -0.003, 0.01)), IDEAL))
+    return KnownPlate(moved)(seen_relief(plate_image(moved), plate, moved.apply((0.004, -0.003, 0.01)), IDEAL.noise))
 
 
 def test_the_hidden_floor_and_walls_of_a_cavity_are_shown_where_they_are() -> None:
@@ -55,11 +56,11 @@ def test_what_is_seen_and_what_has_no_surface_is_not_shown() -> None:
 
 
 def test_without_network_or_plates_the_surface_is_empty() -> None:
-    kits = ObservedKits(plate_image(MOVED), IDEAL, "tray")
+    kits = ObservedKits(plate_image(MOVED), IDEAL.noise, "tray")
     assert len(hidden_surfaces(kits).faces) == 0
     image = kits.image
     bare = ObservedKits(
-        type(image)(image.view, np.zeros_like(image.labels)), IDEAL, "bare", completer=KnownPlate(MOVED)
+        type(image)(image.view, np.zeros_like(image.labels)), IDEAL.noise, "bare", completer=KnownPlate(MOVED)
     )
     assert len(hidden_surfaces(bare).faces) == 0
 
@@ -76,7 +77,9 @@ def test_the_kits_of_a_scene_are_completed_near_their_true_surface(
     mini: Path, queries: dict[str, Query], sensor: str, near: float
 ) -> None:
     data, query = Dataset(mini), queries[sensor]
-    surface = CompletingRegistration(data).completed_kits(query)
+    assert Registration(data).completed_kits(query) is None
+    surface = Registration(data, kit_completion=WEIGHTS / "kit-completion").completed_kits(query)
+    assert surface is not None
     assert len(surface.faces) > 50
     mesh, pose = data.split("test", truth=True).scene(query.scene_id).bodies()[1]
     true = surface_points(Mesh(pose.apply(mesh.vertices), mesh.faces), 300_000, stream(0))

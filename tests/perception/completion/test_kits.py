@@ -20,9 +20,9 @@ from kit1000.kits.assembly import AssemblyPlan, SidePlate, build_assembly
 from kit1000.mesh import defect_float32
 from kit1000.perception.completion.kits.completed import ReliefCompleter
 from kit1000.perception.completion.kits.network import KitCompletionConfig, KitCompletionNet, kit_loss, likely_depths
+from kit1000.perception.image_kinds import IDEAL
 from kit1000.perception.networks.weight_files import save_weights
 from kit1000.perception.observed.kits import ObservedKits
-from kit1000.perception.observed.pixels import IDEAL
 from kit1000.perception.observed.plates import Plane
 from kit1000.perception.observed.relief import CELL, CELLS, DEEPEST, HIGHEST, SeenRelief, seen_relief, true_depths
 from kit1000.pose import Pose
@@ -38,7 +38,7 @@ SMALL = KitCompletionConfig(widths=(8, 8, 8, 8))
 
 def relief_of(moved: Pose, middle: tuple[float, float, float] = (0.004, -0.003, 0.01)) -> SeenRelief:
     plate = Plane(moved.rotate((0.0, 0.0, 1.0)), moved.xyz, 0.0)
-    return seen_relief(plate_image(moved), plate, moved.apply(middle), IDEAL)
+    return seen_relief(plate_image(moved), plate, moved.apply(middle), IDEAL.noise)
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +82,7 @@ def test_a_network_changes_no_seen_cell_and_fills_nothing_that_is_seen_free(seen
 
 
 def test_a_known_relief_fills_the_volume_where_columns_have_no_floor() -> None:
-    kits = ObservedKits(plate_image(Pose.identity()), IDEAL, "tray")
+    kits = ObservedKits(plate_image(Pose.identity()), IDEAL.noise, "tray")
     exact, solids = None, []
     for completer in (None, KnownPlate(Pose.identity())):
         volume = replace(kits, completer=completer).volume(np.zeros(3), VOXEL)
@@ -129,7 +129,7 @@ def test_an_image_that_shows_nothing_of_a_plate_leaves_all_hidden(blind: str) ->
         image = replace(image, labels=np.zeros_like(image.labels))  # beside a plate all is seen free
     else:
         plate = replace(plate, point=np.array([0.0, 0.0, 1.0]))  # above the camera
-    relief = seen_relief(image, plate, plate.point, IDEAL)
+    relief = seen_relief(image, plate, plate.point, IDEAL.noise)
     assert np.isfinite(relief.least).all()
     assert np.isfinite(relief.camera).all()
     truth = true_depths(tray(), Pose.identity(), relief.world_from_plate)
@@ -142,7 +142,7 @@ def test_an_image_that_shows_nothing_of_a_plate_leaves_all_hidden(blind: str) ->
 def test_a_camera_on_the_normal_has_a_frame_too() -> None:
     view = plate_image(Pose.identity())
     below = view.view.world_from_camera.xyz * (1, 1, 0)
-    relief = seen_relief(view, Plane(np.array([0.0, 0.0, 1.0]), np.zeros(3), 0.0), below, IDEAL)
+    relief = seen_relief(view, Plane(np.array([0.0, 0.0, 1.0]), np.zeros(3), 0.0), below, IDEAL.noise)
     assert relief.camera[0] == pytest.approx(0, abs=1e-6)
     np.testing.assert_allclose(relief.world_from_plate.rotate((0, 0, 1)), (0, 0, 1), atol=1e-12)
 

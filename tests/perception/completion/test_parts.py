@@ -2,11 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
-
 import numpy as np
 import pytest
 import torch
@@ -15,18 +10,16 @@ from hypothesis import strategies as st
 from scipy.ndimage import map_coordinates
 
 from kit1000.camera import Camera, look_at
-from kit1000.errors import InputError
 from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.metrics.volumes import occupancy_iou
 from kit1000.perception.completion.parts.completed import SEEN_FREE, CompletedPart, FillLogits, PartCompleter
-from kit1000.perception.completion.parts.frame import CODE, SHAPE, FramedPart, framed, grid_at
+from kit1000.perception.completion.parts.frame import CODE, SHAPE, FramedPart, grid_at
 from kit1000.perception.completion.parts.network import CompletionConfig, CompletionNet
-from kit1000.perception.networks.weight_files import save_weights
 from kit1000.perception.observed.parts import ObservedPart
 from kit1000.pose import Pose
-from kit1000.registration.inputs.volume_sources import DepthSource
+from kit1000.registration.part_volume import seen_part
 from kit1000.sim.render import render
-from kit1000.values import FIRST_PART_LABEL, LabelledDepth, View
+from kit1000.values import LabelledDepth, View
 from kit1000.voxels import Grid, signed_distance
 from tests.samples.completers import Oracle
 from tests.samples.shapes import MM, box
@@ -92,49 +85,13 @@ def test_a_known_part_is_completed_to_itself_where_columns_fill_what_is_not_ther
     probability = completed.probability(VOXEL)
     assert probability.grid == volume.grid
     assert occupancy_iou(probability.values, exact) > 0.9
-    evidence = completed.evidence(VOXEL)
+    evidence = completed.bounds(VOXEL)
     np.testing.assert_array_equal(evidence.filled.values, volume.values)
-    np.testing.assert_array_equal(evidence.possible.values, part.evidence(VOXEL).possible.values)
+    np.testing.assert_array_equal(evidence.possible.values, part.bounds(VOXEL).possible.values)
 
 
 def test_the_height_of_a_completed_part_is_what_is_seen_of_it() -> None:
-    part = observed(table_tee())
-    query: Any = SimpleNamespace(image=part.image, part=PART - FIRST_PART_LABEL, pivot=part.pivot, sensor="ideal")
-    assert DepthSource(query, Oracle(table_tee())).height == pytest.approx(30e-3, abs=2e-4)
-    assert DepthSource(query).height is None  # as high as its filled columns
-    assert DepthSource(query, Oracle(table_tee()), part.image).height is None  # noisy
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_what_is_seen_stays_as_it_was_seen_whatever_a_network_fills_behind_it(seed: int) -> None:
-    part, net = observed(table_tee()), network(seed)
-    torch.nn.init.constant_(net.head.bias, 1.0)  # pyright: ignore[reportArgumentType] (most of what is hidden is filled)
-    columns, volume = part.columns(VOXEL), CompletedPart(part, PartCompleter(net)).volume(VOXEL)
-    seen = columns.distance[::2, ::2]
-    assert (volume.values[seen > 0] >= 0).all()
-    near = (seen < 0) & (seen > -0.2)  # less than half a millimetre behind a surface
-    assert (volume.values[near] < 0).mean() > 0.8  # but for pieces that nothing joins
-
-
-def test_a_part_without_a_return_is_completed_by_columns() -> None:
-    part = observed(table_tee())
-    image = part.image
-    blind = np.where(image.labels == PART, np.float32(0), image.view.depth)
-    dropped = replace(part, image=LabelledDepth(replace(image.view, depth=blind), image.labels))
-    completed = CompletedPart(dropped, PartCompleter(network()))
-    assert framed(dropped.image, PART) is None
-    np.testing.assert_array_equal(completed.volume(VOXEL).values, dropped.volume(VOXEL).values)
-    assert (completed.probability(VOXEL).values == 1).all()
-
-
-def test_weights_of_another_network_are_refused(tmp_path: Path) -> None:
-    net = network()
-    save_weights(tmp_path / "none", net, {"about": {"network": {"cells": 3}}})
-    with pytest.raises(InputError, match="no config of a CompletionNet"):
-        PartCompleter(tmp_path / "none")
-    values = {"widths": [8, 8, 8, 8], "blocks": 2, "parts": 1, "parts_seed": 0, "d415_share": 0.0}
-    save_weights(tmp_path / "deep", net, {"about": {"network": values}})
-    with pytest.raises(InputError, match="which this network has"):
-        PartCompleter(tmp_path / "deep")
-    save_weights(tmp_path / "good", net, {"about": {"network": values | {"blocks": 1}}})
-    assert torch.equal(PartCompleter(tmp_path / "good").net.head.weight, net.head.weight)
+    part, oracle = observed(table_tee()), Oracle(table_tee())
+    assert seen_part(part, part.image, oracle, restores=False).height == pytest.approx(30e-3, abs=2e-4)
+    assert seen_part(part, part.image, None, restores=False).height is None  # as high as its filled columns
+    assert seen_part(part, part.image, oracle, restores=True).height is None  # noisy

@@ -12,6 +12,7 @@ from baselines.training.tasks.restoration.task import Batch, MixtureTask, mean_w
 from kit1000.dataset.reader import Dataset
 from kit1000.perception.restoration import calibrated_image
 from kit1000.perception.restoration.network import HOLES, RestorationConfig, RestorationNet
+from kit1000.perception.sensor_facts import simulated_sensor
 
 SENSOR = "photoneo"
 FAR = 0.5  # [px] of disparity: a filled pixel that far from the truth shows another surface
@@ -25,7 +26,7 @@ class HoleFillingTask(MixtureTask[HoleViews]):
         """About the slot of the drawn target."""
         scene = self.dataset.split(self.split, truth=True).scene(scene_id)
         target = next(query for query in scene.queries if query.drawn)
-        image = calibrated_image(scene.labelled_depth(SENSOR), SENSOR)
+        image = calibrated_image(scene.labelled_depth(SENSOR), simulated_sensor(SENSOR))
         whole = example_of(image, scene.labelled_depth("ideal").view.depth)
         return Recorded(image.view, scene.truth_of(target.id).world_from_kit.xyz, whole)
 

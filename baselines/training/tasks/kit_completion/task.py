@@ -21,10 +21,10 @@ from kit1000.perception.completion.kits.network import (
     kit_loss,
     likely_depths,
 )
-from kit1000.perception.observed.pixels import noise_of
 from kit1000.perception.observed.relief import seen_relief
 from kit1000.perception.restoration import calibrated_image
 from kit1000.perception.restoration.restorer import Restorer
+from kit1000.perception.sensor_facts import simulated_sensor
 from kit1000.values import ASSEMBLY_LABEL
 
 VALIDATION_SCENES = 20  # spread evenly over the validation split; each with ideal depth and with the d415's
@@ -74,9 +74,10 @@ class KitCompletionTask:
         assembly = self.dataset.geometry.assembly(truth.assembly_id)
         mount = next(mount for mount in assembly.mounts if mount.kit.id == truth.part_id)
         pose = truth.world_from_kit
-        image = calibrated_image(scene.labelled_depth(key.sensor), key.sensor)
-        restored = self.training.restorer(image, key.sensor, (ASSEMBLY_LABEL,))
-        relief = seen_relief(restored, plane_of(pose), pose.xyz, noise_of(key.sensor, restored=True))
+        sensor = simulated_sensor(key.sensor)
+        image = calibrated_image(scene.labelled_depth(key.sensor), sensor)
+        restored = self.training.restorer(image, sensor, (ASSEMBLY_LABEL,))
+        relief = seen_relief(restored, plane_of(pose), pose.xyz, sensor.kind.best.noise)
         return example_of(relief, assembly, pose @ mount.assembly_from_kit.inverse(), mount)
 
     def loss(self, batch: Batch) -> Tensor:

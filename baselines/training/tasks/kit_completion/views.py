@@ -15,7 +15,6 @@ from kit1000.dataset.geometry import Geometry
 from kit1000.errors import Redraw
 from kit1000.numerics.linear_algebra import length, matmul
 from kit1000.perception.completion.parts.frame import pixel_box
-from kit1000.perception.observed.pixels import noise_of
 from kit1000.perception.observed.plates import Plane
 from kit1000.perception.observed.relief import (
     CELL,
@@ -27,6 +26,7 @@ from kit1000.perception.observed.relief import (
     true_depths,
 )
 from kit1000.perception.restoration.restorer import Restorer
+from kit1000.perception.sensor_facts import simulated_sensor
 from kit1000.pose import Pose
 from kit1000.rng import stream
 from kit1000.sim.cameras import CAMERA, draw_primary_pose
@@ -83,8 +83,9 @@ class KitViews:
         plane, middle = _near(world_from_assembly @ mount.assembly_from_kit, sensor, rng)
         camera, noise = _camera_before(plane, middle, rng), rng if sensor == "d415" else None
         image = _image(assembly, world_from_assembly, plane, middle, camera, noise)
-        restored = self.restorer(image, sensor, (ASSEMBLY_LABEL,))
-        relief = seen_relief(restored, plane, middle, noise_of(sensor, restored=True))
+        facts = simulated_sensor(sensor)
+        restored = self.restorer(image, facts, (ASSEMBLY_LABEL,))
+        relief = seen_relief(restored, plane, middle, facts.kind.best.noise)
         return example_of(relief, assembly, world_from_assembly, mount)
 
     def _shown(self, rng: np.random.Generator) -> tuple[Assembly, Mount]:

@@ -19,6 +19,7 @@ from kit1000.files import user_cache
 from kit1000.perception.completion.parts.frame import CODE, framed, scale_of
 from kit1000.perception.completion.parts.network import COMPLETION, CompletionConfig, CompletionNet, completion_loss
 from kit1000.perception.restoration import calibrated_image
+from kit1000.perception.sensor_facts import simulated_sensor
 from kit1000.values import FIRST_PART_LABEL
 
 VALIDATION_SCENES = 50  # spread evenly over the validation split; each with ideal depth and with the d415's
@@ -64,7 +65,7 @@ class CompletionTask:
 
     def _example(self, key: Key) -> Example:
         scene = self.dataset.split(self.split, truth=True).scene(key.scene_id)
-        image = calibrated_image(scene.labelled_depth(key.sensor), key.sensor)
+        image = calibrated_image(scene.labelled_depth(key.sensor), simulated_sensor(key.sensor))
         mesh, pose = scene.bodies()[2 + key.part]
         label = FIRST_PART_LABEL + key.part
         part = framed(image, label, scale=scale_of(image, label))

@@ -22,9 +22,9 @@ from kit1000.perception.placement.channels import CELLS
 from kit1000.pose import Pose
 from kit1000.queries.guesses import draw_ball_error
 from kit1000.queries.motions import apply_error
-from kit1000.registration.choice.from_evidence import register_certain
-from kit1000.registration.method import Registration
-from kit1000.registration.refinement.plate_patch import PlatePatch, plate_patch
+from kit1000.registration.image_refine import PlatePatch, plate_patch
+from kit1000.registration.method import FitSearch, PartRegistration
+from kit1000.registration.predictor import Registration
 from kit1000.rng import stream
 from kit1000.values import Query, Truth
 
@@ -102,11 +102,12 @@ class PlacedFits:
         return self.dataset.split(self.split, truth=True).scene(query.scene_id).truth_of(query.id)
 
     def _made(self, query: Query) -> PlacedFit | None:
-        registration, truth = self.registration, self._truth_of(query)
-        (source,), (clearance,) = registration.sources(query, registration.image_of(query)), registration.all_clearances
-        fits = register_certain(source, source.query, clearance)
-        patch = plate_patch(source, fits[0].candidate, clearance, CELLS + 2 * BORDER) if fits else None
-        return None if patch is None else self._placed(patch, fits[0].goal_from_now, source.middle, truth)
+        scene, (clearance,) = self.registration.scene(query), self.registration.all_clearances
+        ((part, image),) = scene.parts(query)
+        assert image is not None
+        fits = FitSearch(PartRegistration(scene, part, image, query, clearance)).all_fits()
+        patch = plate_patch(part, image, fits[0].candidate, clearance, CELLS + 2 * BORDER) if fits else None
+        return None if patch is None else self._placed(patch, fits[0].goal_from_now, part.middle, self._truth_of(query))
 
     def _placed(self, patch: PlatePatch, goal_from_now: Pose, middle: np.ndarray, truth: Truth) -> PlacedFit | None:
         targets = Targets.of([truth], lambda part: self.dataset.geometry.part(part).mesh.vertices)

@@ -14,7 +14,7 @@ from baselines.training.tasks.placement.changes import Changes, changed, drawn_c
 from baselines.training.tasks.placement.placed_fits import PlacedFit, PlacedFits
 from kit1000.dataset.reader import Dataset
 from kit1000.perception.placement.network import LEVER, PLACEMENT, PlacementConfig, PlacementNet
-from kit1000.registration.method import Registration
+from kit1000.registration.predictor import Registration
 from kit1000.weights import WEIGHTS
 
 IN_PLATE = slice(2, 5)

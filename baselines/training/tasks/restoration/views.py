@@ -14,12 +14,14 @@ from baselines.training.tasks.noisy_images import noisy_view
 from kit1000.dataset.reader import Dataset
 from kit1000.perception.restoration.disparity import Box, above_table, cropped_evidence, evidence, unlabelled_evidence
 from kit1000.perception.restoration.rules import calibrated_image, closed_gaps
+from kit1000.perception.sensor_facts import simulated_sensor
 from kit1000.rng import stream
 from kit1000.sim.cameras import CAMERA, draw_primary_pose
 from kit1000.sim.render import render
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, View
 
 SENSOR = "d415"
+FACTS = simulated_sensor(SENSOR)
 SIDE = 128  # [px] of a crop
 CROPS = 8  # of a view
 KITS_SHARE = {True: 0.75, False: 0.3}  # of the crops, with masks and without: about a pixel of the kits, not of a part
@@ -93,7 +95,7 @@ def recorded_example(
 ) -> tuple[LabelledDepth, Example]:
     """The calibrated image of a recorded scene, and all of its evidence and truth."""
     scene = dataset.split(split, truth=True).scene(scene_id)
-    image = calibrated_image(scene.labelled_depth(SENSOR), SENSOR)
+    image = calibrated_image(scene.labelled_depth(SENSOR), FACTS)
     return image, example_of(image, scene.labelled_depth("ideal").view.depth, labelled)
 
 
@@ -112,8 +114,8 @@ def example_of(image: LabelledDepth, depth: np.ndarray, labelled: bool = True) -
     if not labelled:
         counts = maximum_filter(counts, 2 * AROUND + 1)
     view = image.view
-    read = evidence(image, closed_gaps(image).view, SENSOR) if labelled else unlabelled_evidence(view, SENSOR)
-    return read | {"truth": above_table(depth, view, SENSOR), "counts": counts}
+    read = evidence(image, closed_gaps(image).view, FACTS) if labelled else unlabelled_evidence(view, FACTS)
+    return read | {"truth": above_table(depth, view, FACTS), "counts": counts}
 
 
 def box_about(row: int, column: int) -> Box:

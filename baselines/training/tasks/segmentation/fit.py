@@ -11,7 +11,8 @@ from kit1000.dataset.reader import Dataset
 from kit1000.numerics.linear_algebra import matmul
 from kit1000.perception.segmentation.bodies import find_bodies
 from kit1000.perception.segmentation.instances import pieces_of
-from kit1000.perception.segmentation.merging import LOW, Pieces, best_pairs
+from kit1000.perception.segmentation.merging import Pieces, best_pairs
+from kit1000.perception.sensor_facts import simulated_sensor
 from kit1000.values import FIRST_PART_LABEL
 
 if TYPE_CHECKING:
@@ -28,14 +29,14 @@ def fitted(data: Path, sensor: str, scenes: int, restorer: Restorer | None = Non
     rows: list[tuple[np.ndarray, bool, float]] = []
     for scene_id in split.scene_ids[:scenes]:
         image = split.scene(scene_id).labelled_depth(sensor)
-        bodies = find_bodies(image.view, sensor, restorer)
+        bodies = find_bodies(image.view, simulated_sensor(sensor), restorer)
         labels, joined, points, box = pieces_of(bodies)
         if labels.max() == 0:
             continue
         counts = np.zeros((int(labels.max()) + 1, 256))
         np.add.at(counts, (labels.ravel(), image.labels[box].ravel()), 1)
         counts[:, :FIRST_PART_LABEL] = 0
-        _add_pairs(rows, Pieces.of(labels, joined, points, LOW[bodies.kind], 1.0), counts.argmax(1))
+        _add_pairs(rows, Pieces.of(labels, joined, points, bodies.kind.segmentation.foot, 1.0), counts.argmax(1))
     features, same, weights = (np.array(column, float) for column in zip(*rows, strict=True))
     return logistic(features, same, weights)
 

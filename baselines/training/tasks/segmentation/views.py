@@ -8,7 +8,7 @@ import numpy as np
 
 from baselines.training.tasks.restoration.views import (
     CROPS,
-    SENSOR,
+    FACTS,
     Example,
     ViewCrops,
     body_pixel,
@@ -35,13 +35,13 @@ class PartViews(ViewCrops):
     def crops(self, rng: np.random.Generator) -> list[Example]:
         """About pixels of parts, and some of the kits."""
         image, _ = fresh_image(self.dataset, self.scenes, rng)
-        whole = _example(image.labels, image.view, self.restorer.without_masks(image.view, SENSOR))
+        whole = _example(image.labels, image.view, self.restorer.without_masks(image.view, FACTS))
         return [cropped_evidence(whole, box_about(*body_pixel(image.labels, KITS_SHARE, rng))) for _ in range(CROPS)]
 
 
 def recorded_example(image: LabelledDepth, restorer: Restorer) -> Example:
     """Evidence and truth of a recorded image, calibrated without masks."""
-    bodies = find_bodies(image.view, SENSOR, restorer)
+    bodies = find_bodies(image.view, FACTS, restorer)
     return _example(image.labels, bodies.measured, bodies.view)
 
 

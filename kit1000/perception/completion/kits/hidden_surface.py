@@ -2,18 +2,45 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from scipy.ndimage import binary_erosion, label
 from scipy.spatial import Delaunay, QhullError
 from trimesh.util import append_faces
 
 from kit1000.mesh import Mesh
-from kit1000.perception.observed.kits import ObservedKits
+from kit1000.perception.observed.kits import Completer, ObservedKits
 from kit1000.perception.observed.relief import CELL, CELLS, DEEPEST, CompletedRelief, SeenRelief
+from kit1000.perception.restoration import calibrated_image
+from kit1000.perception.sensor_facts import SensorFacts
+from kit1000.values import ASSEMBLY_LABEL, Query
+
+if TYPE_CHECKING:
+    from kit1000.perception.restoration.restorer import Restorer
 
 FACE = 1.0  # [mm] from a plate's face, within which a seen cell is of it
 LEAST_CELLS = 10  # of a hidden region: smaller ones are cells that a rim crosses
 BORDER = 2  # cells of the border of the face, in which its edge lies
+
+
+def completed_kits(query: Query, sensor: SensorFacts, completer: Completer, restorer: Restorer | None) -> Mesh:
+    """What the image of a query hides of the kits, as a network completes it, at places the image shows the rest of.
+
+    Args:
+        query: any about the image.
+        sensor: that took the image.
+        completer: the network that completes kits.
+        restorer: the network that restores images of stereo cameras; None: they are only calibrated.
+
+    Returns:
+        [m] world, as the recorded camera is believed to stand: a noisy image is calibrated to complete it.
+    """
+    image = calibrated_image(query.image, sensor)
+    restored = image if restorer is None else restorer(image, sensor, (ASSEMBLY_LABEL,))
+    kits = ObservedKits(restored, sensor.kind.best.noise, query.scene_id, completer=completer)
+    recorded_from_calibrated = query.view.world_from_camera @ image.view.world_from_camera.inverse()
+    return hidden_surfaces(kits).moved(recorded_from_calibrated)
 
 
 def hidden_surfaces(kits: ObservedKits) -> Mesh:

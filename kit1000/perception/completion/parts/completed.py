@@ -14,7 +14,7 @@ from kit1000.perception.completion.parts.frame import CODE, FramedPart, framed, 
 from kit1000.perception.completion.parts.network import CompletionConfig, CompletionNet
 from kit1000.perception.networks.loading import ready
 from kit1000.perception.observed.filled_columns import ObservedColumns
-from kit1000.perception.observed.parts import ObservedPart, PartEvidence
+from kit1000.perception.observed.parts import ObservedPart, PartBounds
 from kit1000.values import LabelledDepth
 from kit1000.voxels import Grid, Volume
 
@@ -114,10 +114,10 @@ class CompletedPart:
         """
         return self._filled(self.observed.columns(voxel))
 
-    def evidence(self, voxel: float) -> PartEvidence:
-        """What is certain about the part, as of `ObservedPart`, and the likely solid between."""
+    def bounds(self, voxel: float) -> PartBounds:
+        """The bounds of the part, as `ObservedPart` has them, and the likely solid between."""
         columns = self.observed.columns(voxel)
-        return PartEvidence(self._filled(columns), columns.surely_solid(), columns.possible())
+        return PartBounds(self._filled(columns), columns.sure(), columns.possible())
 
     def _filled(self, columns: ObservedColumns) -> Volume:
         if self.logits is None:

@@ -1,4 +1,4 @@
-"""The relief of a plate and the cavity in it, from a volume aligned with the plate."""
+"""The cavity in a plate, from a volume of the kits that is aligned with the plate."""
 
 from __future__ import annotations
 
@@ -8,19 +8,20 @@ import numpy as np
 from scipy.ndimage import binary_dilation, binary_opening, binary_propagation, label
 
 from kit1000.numerics.compiled import compiled
+from kit1000.perception.image_kinds import Noise
 from kit1000.pose import Pose
 from kit1000.voxels import Grid, Volume, surface_points
 from kit1000.voxels.grid import DEFAULT_TRUNCATION
 
 VOXEL = 1e-3  # [m] of the volumes of plates
 ABOVE, BELOW = 4e-3, 24e-3  # [m] extent of the volume from the plate's face; no cavity is deeper than 20 mm
-CUT = 1.5e-3  # [m] below the plate's face, where a cavity begins, unless the noise is larger
+CUT = 1.5e-3  # [m] below the plate's face, where a cavity begins unless the noise is larger
 RIM = 1e-3  # [m] below the rim, where points are left out: the plate's face is near them too
 UNDER = 1e-3  # [m] below the floor, beyond which points are of another face: the plate's lower face is 2 mm away
-JUMP = 0.5  # of the truncated distance from one voxel down to the next: 2.5 mm where a level surface gives 1 mm
+JUMP = 0.5  # truncations from one voxel down to the next (2.5 mm; a level surface gives 1 mm): a hidden wall
 SPECK = 12e-6  # [m^2] a smaller hole is noise
-DARK = 3e-3  # [m] below the face, down to which a hole without any return is taken as free
-CRACK = 3  # cells across a hole in a deeper cut, which must be wider: noise opens cracks to the outside
+NO_RETURN_FREE = 3e-3  # [m] below the face, down to which a hole without any return is taken as free
+CRACK = 3  # cells across; a hole in a deeper cut must be wider, since noise opens cracks to the outside
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,11 +29,11 @@ class Cavity:
     """A cavity in a plate."""
 
     world_from_plate: Pose
-    """z out of the cavity, z = 0 the plate's face, the origin in the middle of the relief."""
-    relief: np.ndarray
-    """(n, n) [m] height of the surface from above, NaN where it is unknown; cells of VOXEL."""
+    """z out of the cavity, z = 0 the plate's face, the origin in the middle of the map."""
+    heights: np.ndarray
+    """(n, n) [m] map of the surface from above, NaN if it is unknown; cells of VOXEL."""
     free: np.ndarray
-    """(n, n) [m] height down to which a cell is free: the relief where that is known."""
+    """(n, n) [m] height down to which a cell is free; equal to `heights` if that is known."""
     known: np.ndarray
     """(n, n) bool: cells of the plate's face and of the cavity."""
     region: np.ndarray
@@ -41,10 +42,10 @@ class Cavity:
     """[m] of the floor."""
     points: np.ndarray
     """(k, 3) [m] plate frame: on the walls and the floor."""
-    certain_relief: np.ndarray
-    """(n, n) [m] as `relief`, without surfaces that are only assumed behind a rim."""
+    certain_heights: np.ndarray
+    """(n, n) [m] the same without surfaces that are only assumed behind a rim."""
     certain_free: np.ndarray
-    """(n, n) [m] as `free`, beside the certain relief."""
+    """(n, n) [m] height down to which a cell is certainly free."""
 
 
 def plate_grid(world_from_plate: Pose, side: float) -> Grid:
@@ -55,59 +56,60 @@ def plate_grid(world_from_plate: Pose, side: float) -> Grid:
     return Grid((n, n, layers), VOXEL, world_from_plate @ first)
 
 
-def find_cavity(
-    volume: Volume, world_from_plate: Pose, noise: float, deeper: float = 1.0, dark: bool = False
-) -> Cavity | None:
-    """The cavity in the volume of a plate on its `plate_grid`; None where there is none.
+def find_cavity(volume: Volume, world_from_plate: Pose, noise: Noise, deeper: float = 1.0) -> Cavity | None:
+    """The cavity in the volume of a plate on its `plate_grid`; None if there is none.
 
     Args:
         volume: of the plate.
         world_from_plate: see `Cavity`.
-        noise: [m] largest distance of points on the plate's face from its plane.
-        deeper: by which the depth of the cut is multiplied, where the face is farther from its plane than noise says;
-            there cracks are closed as well.
-        dark: whether a hole in which nothing was observed is a cavity, where there is no other; its depth is unknown,
-            and given as that of the cut.
+        noise: of the image.
+        deeper: factor on the depth of the cut, for faces that are farther from their plane than the noise says; if it
+            is above 1, cracks are closed as well.
     """
-    cut = deeper * max(CUT, 1.25 * noise)
-    relief, free = heights_from_above(volume)
-    face = np.abs(relief) < cut
-    region = _region(relief, free, cut, deeper > 1)
-    bottom = relief[region & (relief < -cut)]
+    cut = deeper * max(CUT, 1.25 * noise.distance)
+    heights, free = heights_from_above(volume)
+    region = _region(heights, free, cut, deeper > 1)
+    bottom = heights[region & (heights < -cut)]
     if len(bottom) * VOXEL**2 >= SPECK:
         depth = -float(np.percentile(bottom, 3))
-    else:
-        unseen = np.isnan(relief)
+    elif noise.no_return:  # the depth of a hole that returned nothing is unknown, and given as that of the cut
+        unseen = np.isnan(heights)
         region, depth = _enclosed(unseen, unseen), cut
-        free = np.where(region, -DARK, free)
-        if not (dark and region.any()):
+        free = np.where(region, -NO_RETURN_FREE, free)
+        if not region.any():
             return None
-    points = world_from_plate.inverse().apply(surface_points(volume))
-    i, j = cells_at(points, len(relief))
-    heights = points[:, 2]
-    inside = (
-        np.asarray(binary_dilation(region), bool)[i, j]
-        & (heights < -max(RIM, noise))
-        & (heights > -depth - max(UNDER, noise))
-    )
-    points = points[inside]
-    if np.isnan(relief[region]).any():  # the upper edge of a hidden wall is visible
-        seen = face & seen_face(volume, cut)  # the far rim is that of the relief
+    else:
+        return None
+    face = np.abs(heights) < cut
+    points = _points(volume, world_from_plate, region, depth, noise.distance)
+    if np.isnan(heights[region]).any():  # the upper edge of a hidden wall is visible
+        seen = face & seen_face(volume, cut)  # the far rim is that of the height map
         beyond = np.asarray(binary_propagation(region, mask=region | (face & ~seen)), bool)
         points = np.concatenate([points, _edges(seen, beyond)])
-    certain = heights_from_above(volume, across_jumps=False)
-    return Cavity(world_from_plate, relief, free, face | region, region, depth, points, *certain)
+    certain_heights, certain_free = heights_from_above(volume, across_jumps=False)
+    return Cavity(world_from_plate, heights, free, face | region, region, depth, points, certain_heights, certain_free)
+
+
+def _points(volume: Volume, world_from_plate: Pose, region: np.ndarray, depth: float, noise: float) -> np.ndarray:
+    """(k, 3) [m] plate frame: surface points of a volume in the cavity with a region (n, n) bool and a depth [m]."""
+    points = world_from_plate.inverse().apply(surface_points(volume))
+    i, j = cells_at(points, len(region))
+    below = (points[:, 2] < -max(RIM, noise)) & (points[:, 2] > -depth - max(UNDER, noise))
+    return points[np.asarray(binary_dilation(region), bool)[i, j] & below]
 
 
 def holes_in(volume: Volume, noise: float, deeper: float = 1.0) -> np.ndarray:
-    """(n, n) bool: the cells of all holes in the volume of a plate. Arguments as of `find_cavity`."""
-    relief, free = heights_from_above(volume)
-    return _region(relief, free, deeper * max(CUT, 1.25 * noise), deeper > 1)
+    """(n, n) bool: the cells of all holes in the volume of a plate.
+
+    noise: [m] largest distance of points on the plate's face from its plane. deeper: see `find_cavity`.
+    """
+    heights, free = heights_from_above(volume)
+    return _region(heights, free, deeper * max(CUT, 1.25 * noise), deeper > 1)
 
 
-def _region(relief: np.ndarray, free: np.ndarray, cut: float, closes: bool) -> np.ndarray:
+def _region(heights: np.ndarray, free: np.ndarray, cut: float, closes: bool) -> np.ndarray:
     """(n, n) bool: the cells of holes deeper than a cut [m]. closes: whether cracks to the outside are closed."""
-    holes = ~(relief > -cut)
+    holes = ~(heights > -cut)
     if closes:
         holes = np.asarray(binary_opening(holes, np.ones((CRACK, CRACK))), bool)
     return _enclosed(holes, free < -cut)
@@ -125,7 +127,7 @@ def _enclosed(holes: np.ndarray, deep: np.ndarray) -> np.ndarray:
 def seen_face(volume: Volume, cut: float) -> np.ndarray:
     """(n, n) bool: cells whose centre on the plate's face is seen there.
 
-    Not by the relief: behind a near rim a ray passes over the rim and comes down to `cut` only farther on.
+    The height map does not tell: behind a near rim a ray passes over the rim and reaches `cut` [m] only farther on.
     """
     return np.abs(volume.values[:, :, round(BELOW / VOXEL)]) < cut / (DEFAULT_TRUNCATION * VOXEL)
 
@@ -149,11 +151,11 @@ def cells_at(points: np.ndarray, n: int) -> np.ndarray:
 
 
 def heights_from_above(volume: Volume, across_jumps: bool = True) -> tuple[np.ndarray, np.ndarray]:
-    """(nx, ny) [m], twice: height over the plate of the surface from above, NaN where it is unknown, and the height
-    down to which the column is free.
+    """(nx, ny) [m] map of the surface from above, NaN if it is unknown; (nx, ny) [m] height down to which it is free.
 
-    across_jumps: whether a jump of the distance below the plate's face, from free to behind a surface, is a surface. It
-    is none: behind a near rim the image shows the rim and then the cavity, and nothing of what lies under the rim.
+    across_jumps: whether a jump of the distance below the plate's face, from free to behind a surface, counts as a
+    surface. Behind a near rim the image shows the rim and then the cavity, and nothing below the rim, so that a
+    surface there is only assumed.
     """
     heights = np.empty((2, *volume.grid.shape[:2]))
     _descend(volume.values, VOXEL, BELOW, across_jumps, heights[0], heights[1])

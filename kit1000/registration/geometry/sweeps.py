@@ -1,4 +1,4 @@
-"""What a part sweeps on its way out of a cavity, as distances in slices, for one rotation."""
+"""Sweeps: what a part sweeps on its way out of a cavity in one rotation, as distances in horizontal slices."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ import numpy as np
 
 from kit1000.numerics.compiled import compiled
 from kit1000.pose import Pose
-from kit1000.registration.geometry.height_images import dilated, image_cells, lower_envelope
+from kit1000.registration.geometry.height_maps import dilated, lower_envelope, map_cells
 from kit1000.voxels import Volume
 
 CELL = 0.625e-3  # [m] of slices
 LAYER = 1e-3  # [m] between slices
 REACH = 12  # cells (7.5 mm) up to which distances are computed, at least
-BEYOND = 2e-3  # [m] from the clearance up to where a distance is computed: the residuals are clipped there
+BEYOND = 2e-3  # [m] beyond the clearance, up to which distances are computed: residuals are clipped there
 ABOVE = 3e-3  # [m] of slices beyond the depth of the cavity: the part may be refined upwards
-NO_FLOOR = 0.1  # [m] where the part has no lower envelope: above everything
+NO_FLOOR = 0.1  # [m] floor of a cell without part: above everything
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,16 +28,9 @@ class Sweep:
     distance: np.ndarray
     """(layers, n, n) float32 [m]: horizontal distance from each cell to the sweep at the layer's height; 0 inside."""
     floor: np.ndarray
-    """(n, n) float32 [m]: lower envelope of the dilated part; 0.1 where there is none."""
+    """(n, n) float32 [m]: lower envelope of the dilated part; NO_FLOOR in a cell without part."""
     lowest: float
     """[m] of the sweep, relative to the pivot."""
-
-    @classmethod
-    def from_part(cls, part: Volume, pivot: np.ndarray, rotation: Pose, depth: float, clearance: float) -> Sweep:
-        """The sweep of a part in a rotation, up to a little more than `depth` [m] above its lowest point."""
-        envelope = envelope_about(part, pivot, rotation, clearance)
-        lowest = float(envelope.min())
-        return cls.from_envelope(envelope, rotation, lowest, depth, clearance)
 
     @classmethod
     def from_envelope(
@@ -61,13 +54,13 @@ def envelope_about(
     """(n, n) [m]: the lower envelope of a part in a rotation, its pivot (3,) [m] the origin.
 
     Args:
-        part: its pivot is about in the middle of the volume.
+        part: a volume with the pivot about in its middle.
         pivot: of the part.
         rotation: of the part.
-        clearance: [m] by which the image is wider than the part.
+        clearance: [m] by which the map is wider than the part.
         start: see `lower_envelope`.
     """
-    cells = image_cells(part, clearance, CELL)
+    cells = map_cells(part, clearance, CELL)
     return lower_envelope(part, rotation @ Pose.from_translation(-pivot), CELL, cells, start)
 
 
@@ -153,7 +146,7 @@ def floors_under(points, twist, floor):
 
 @compiled
 def cell_at(x, y, above, shape):
-    """Cell (u, v) and layer w [not whole] of a point in the frame of a sweep, `above` [m] its lowest point; clipped."""
+    """Fractional cell (u, v) and layer w of a point of a sweep, `above` [m] its lowest point; clipped to the volume."""
     layers, n, _ = shape
     u = min(max(x / CELL + (n - 1) / 2, 0.0), n - 1.001)
     v = min(max(y / CELL + (n - 1) / 2, 0.0), n - 1.001)
@@ -162,7 +155,7 @@ def cell_at(x, y, above, shape):
 
 @compiled
 def nearer(a, b):
-    """The signed distance of the nearer surface, of two; the second where both are as near."""
+    """The signed distance of the nearer of two surfaces; the second if both are as near."""
     return a if abs(a) < abs(b) else b
 
 

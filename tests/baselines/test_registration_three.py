@@ -11,15 +11,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from baselines.registration_three import FourCameras, LabelledViews, labelled, table_labels
 from kit1000.camera import Camera, look_at
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.mesh import mesh_from_solid
-from kit1000.perception.heights.labelled_views import LabelledViews, labelled, table_labels
 from kit1000.perception.observed.fusion import MaskedView, observed_distance
 from kit1000.perception.observed.parts import ObservedPart
 from kit1000.pose import Pose
-from kit1000.registration.method import Registration
 from kit1000.sim.render import render
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, Query, View
 from kit1000.voxels import Grid, signed_distance, tsdf
@@ -77,7 +76,7 @@ def test_more_images_leave_less_to_guess() -> None:
 
 def test_the_part_lies_between_what_is_sure_and_what_is_possible() -> None:
     part = ObservedPart(images()[0], FIRST_PART_LABEL, np.array([0, 0, 0.02]), tuple(images()[1:]))
-    _, sure, possible = part.evidence(VOXEL)
+    _, sure, possible = part.bounds(VOXEL)
     truth = signed_distance(sure.grid, [(TEE, Pose.identity())], threads=1).values
     edge = 1.5 / DEFAULT_TRUNCATION  # pixels and voxels are decided by their centres
     assert (truth[sure.values < 0] < edge).all()
@@ -113,7 +112,7 @@ def test_labels_of_other_cameras_are_those_of_the_bodies(mini: Path) -> None:
 
 def test_four_cameras_seat_the_parts_of_a_scene(mini: Path, queries: list[Query]) -> None:
     dataset = Dataset(mini)
-    method = Registration(dataset, cameras="three")
+    method = FourCameras(dataset)
     split = dataset.split("test-all", truth=True)
     query = queries[0]
     truth = split.scene(query.scene_id).truth_of(query.id)
@@ -122,12 +121,7 @@ def test_four_cameras_seat_the_parts_of_a_scene(mini: Path, queries: list[Query]
     assert np.linalg.norm(moved[0] - moved[1]) < 1.5e-3
 
 
-def test_only_what_reads_depth_reads_more_cameras(mini: Path) -> None:
-    with pytest.raises(InputError, match="source depth alone"):
-        Registration(Dataset(mini), source="truth", cameras="three")
-
-
 def test_a_scene_without_the_three_cameras_is_refused(mini: Path) -> None:
     dataset = Dataset(mini)
     with pytest.raises(InputError, match="three"):
-        Registration(dataset, cameras="three")(next(dataset.split("val").queries()))
+        FourCameras(dataset)(next(dataset.split("val").queries()))

@@ -1,6 +1,6 @@
 """Contradictions of a pose with what the image shows: free space that must be part, and part inside kit material.
 
-Both are asked of certain evidence alone, in mm, so that what the image hides of part or kit speaks for no pose:
+Both read certain bounds alone, in metres, so that what the image hides of part or kit favours no pose:
 
 - A cavity shrunk by the clearance is what the part must fill. The image may show some of it to be free in the part.
 - The observed surface of the part must not lie in observed material of the kit.
@@ -14,18 +14,19 @@ import numpy as np
 from scipy.ndimage import maximum_filter
 
 from kit1000.numerics.compiled import compiled
-from kit1000.perception.observed.parts import PartEvidence
 from kit1000.pose import Pose
-from kit1000.registration.geometry.height_images import disc, read_value
-from kit1000.registration.geometry.observed_cavity import BELOW, CUT, VOXEL, Cavity, cells_at
+from kit1000.registration.geometry.cavity import BELOW, CUT, VOXEL, Cavity, cells_at
+from kit1000.registration.geometry.height_maps import disc, read_value
+from kit1000.registration.part_volume import PartShape
 from kit1000.voxels import Volume
 from kit1000.voxels.grid import DEFAULT_TRUNCATION
 
-TOLERANCE = 1e-3  # [m] of voxels and of the coarse search, within which nothing contradicts
-MOST = 4e-3  # [m] by which a point contradicts at most: the distances are truncated at 5 mm
-INSIDE = 0.7e-3  # [m] above the shrunk cavity's floor: within the part, whose surface is observed to half a voxel
-HEIGHTS = 5  # tried between the lowest and the highest floor that a cell may have
-PART_WEIGHT, CHOICE_PART_WEIGHT = 2.0, 3.0  # of part inside kit beside free inside part: in scores, in the choice
+TOLERANCE = 1e-3  # [m] error of voxels and of the coarse search: less contradicts nothing
+MOST = 4e-3  # [m] largest contradiction of a point: distances are truncated at 5 mm
+INSIDE = 0.7e-3  # [m] above the shrunk cavity's floor: within the part, whose surface is known to half a voxel
+HEIGHTS = 5  # heights of the floor that are tried, between the lowest and the highest of a cell
+PART_WEIGHT = 2.0  # of part inside kit beside free space inside part, in the cost of a fit
+CHOICE_PART_WEIGHT = 3.0  # the same weight in the choice of candidates
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,11 +42,11 @@ class KitHeights:
 
     @classmethod
     def of(cls, cavity: Cavity, clearance: float) -> KitHeights:
-        """Heights of a cavity; an unknown floor lies between the cavity's depth and what is seen to be free."""
-        known = ~np.isnan(cavity.certain_relief)
+        """The heights of a cavity; an unknown floor lies between the cavity's depth and what is seen to be free."""
+        known = ~np.isnan(cavity.certain_heights)
         bottom = np.where(cavity.region, -cavity.depth, -BELOW)
-        low = np.where(known, cavity.certain_relief, np.minimum(bottom, cavity.certain_free))
-        high = np.where(known, cavity.certain_relief, cavity.certain_free)
+        low = np.where(known, cavity.certain_heights, np.minimum(bottom, cavity.certain_free))
+        high = np.where(known, cavity.certain_heights, cavity.certain_free)
         shrunk_low, shrunk_high = (
             np.asarray(maximum_filter(image, footprint=disc(VOXEL, clearance), mode="nearest")) for image in (low, high)
         )
@@ -57,28 +58,28 @@ class KitHeights:
 
 @dataclass(frozen=True)
 class Contradictions:
-    """How far a pose contradicts the image, [m] on average."""
+    """Mean contradiction of a pose by the image [m]."""
 
     free_in_part: float
-    """Free space where the part must be, over the points of the shrunk cavity."""
+    """Free space where the part must be; the mean over the points of the shrunk cavity."""
     part_in_kit: float
-    """Depth of the part's observed points in material of the kit, over the points."""
+    """Depth of the part's observed points in material of the kit; the mean over these points."""
 
     @property
     def choice(self) -> float:
-        """[m] by which candidates are chosen."""
+        """[m] contradiction by which candidates are chosen for refinement."""
         return self.free_in_part + CHOICE_PART_WEIGHT * self.part_in_kit
 
     @property
-    def score(self) -> float:
-        """[m] their share in the score of a fit."""
+    def cost(self) -> float:
+        """[m] contradiction in the cost of a fit."""
         return self.free_in_part + PART_WEIGHT * self.part_in_kit
 
 
-def contradictions(evidence: PartEvidence, seen: np.ndarray, kit: KitHeights, plate_from_now: Pose) -> Contradictions:
-    """The contradictions of a pose. seen: (n, 3) [m] world, observed points of the part as it lies now."""
+def contradictions(part: PartShape, kit: KitHeights, plate_from_now: Pose) -> Contradictions:
+    """The contradictions of a pose of a part in a kit."""
     return Contradictions(
-        _free_in_part(evidence.possible, kit, plate_from_now), _part_in_kit(seen, kit.low, plate_from_now)
+        _free_in_part(part.bounds.possible, kit, plate_from_now), _part_in_kit(part.points, kit.low, plate_from_now)
     )
 
 

@@ -1,22 +1,53 @@
-"""The images of the three cameras with labels, which only the image of the primary camera has.
+"""Registration from four cameras: the query's image and those of three cameras around the table.
 
-A pixel that shows a point above the table is of the kits on their half of the table; on the other half it is of the
-part whose pixels in the primary image are nearest, seen from above.
+Only the image of the primary camera has labels. In the others, a pixel that shows a point above the table is of the
+kits on their half of the table; on the other half it is of the part whose pixels in the primary image are nearest, seen
+from above.
 """
 
 from __future__ import annotations
 
-from functools import lru_cache
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
+from baselines.heights.scene_heights import CELL, KITS, LOWEST, RECENT, cell_below, part_labels, three_views
 from kit1000.dataset.reader import Dataset
 from kit1000.numerics.compiled import compiled
-from kit1000.perception.heights.scene_heights import CELL, KITS, LOWEST, RECENT, cell_below, part_labels, three_views
-from kit1000.values import ASSEMBLY_LABEL, LabelledDepth, Query, View
+from kit1000.perception.sensor_facts import sensor_of
+from kit1000.prediction.catalog import Method
+from kit1000.registration.predictor import Registration
+from kit1000.registration.prepared_image import PreparedImage
+from kit1000.values import ASSEMBLY_LABEL, LabelledDepth, Query, TrueGeometry, View
 
 REACH = 30e-3  # [m] level, from the pixels that the primary camera sees of a part to its others: it sees half or more
+
+METHODS = {
+    "registration-three": Method(
+        "baselines.registration_three:FourCameras",
+        "registration from four depth images: the query's and those of three cameras around the table",
+        label="Registration, four cameras",
+        tracks=("snap", "snap-tilt", "place", "place-paper"),
+        camera_set="three",
+    ),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class FourCameras(Registration):
+    """Registration that reads further images beside the query's own."""
+
+    @cached_property
+    def views(self) -> LabelledViews:
+        """The images of the three cameras."""
+        return LabelledViews(self.dataset)
+
+    def scene(self, query: Query, geometry: TrueGeometry | None = None) -> PreparedImage:
+        """The query's image, with those of the three cameras."""
+        sensor = sensor_of(self.dataset.summary, query.sensor, query.scene_id)
+        return PreparedImage(query, sensor, others=self.views.of(query))
 
 
 class LabelledViews:

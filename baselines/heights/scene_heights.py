@@ -16,10 +16,10 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
+from baselines.heights.maps import UNSEEN, HeightMap
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.files import write_bytes
 from kit1000.numerics.compiled import compiled
-from kit1000.perception.heights.maps import UNSEEN, HeightMap
 from kit1000.perception.observed.pixels import pixel_points, transformed
 from kit1000.values import FIRST_PART_LABEL, LabelledDepth, Query, View
 

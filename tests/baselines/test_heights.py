@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from baselines.heights.maps import UNSEEN, HeightMap, cell_centres, envelopes, extent
+from baselines.heights.scene_heights import CELL, RecordedHeights, RenderedHeights
+from baselines.heights.shell import shell_points
 from baselines.training.tasks.goal_draws import QueryDraws, goal_motions
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
-from kit1000.perception.heights.maps import UNSEEN, HeightMap, cell_centres, envelopes, extent
-from kit1000.perception.heights.scene_heights import CELL, RecordedHeights, RenderedHeights
-from kit1000.perception.heights.shell import shell_points
 from kit1000.pose import Pose
 from kit1000.rng import stream
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from kit1000.perception.heights.maps import UNSEEN, HeightMap
+from baselines.heights.maps import UNSEEN, HeightMap
 
 WALL_STEP = 2e-3  # [m] between points of a wall, from top to bottom
 

@@ -1,1 +1,0 @@
-"""The choice among refined fits, and how confident it is."""

@@ -1,1 +1,0 @@
-"""The refinement of a candidate to a fit, by Levenberg-Marquardt steps."""

@@ -1,1 +1,0 @@
-"""The search over all yaws and positions, and the candidates that it leaves."""
