@@ -205,7 +205,7 @@ def test_a_fit_that_the_image_shows_worse_than_the_best_costs_more() -> None:
     known = case("an L")
     shown = image_of("an L", noise_px=0.3)
     part = part_of(known, RESTORED, RestoredImage(shown, shown, GAIN * RESTORED.refinement.noise_px))
-    fits = [part.fitted(moved(known, *move)) for move in ((0, 0, 0), (8, 8, 40))]
+    fits = [part_of(known).fitted(moved(known, *move)) for move in ((0, 0, 0), (8, 8, 40))]
     assert part_of(known, IDEAL, part.image).in_image(fits) == fits
     right, wrong = part.in_image(fits)
     assert right.cost == fits[0].cost
