@@ -18,7 +18,7 @@ import numpy as np
 
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
-from kit1000.perception.observed.query_points import observed_points
+from kit1000.perception.observed.pixels import observed_points
 from kit1000.perception.restoration import restored_query
 from kit1000.pose import Pose, unit_vector
 from kit1000.prediction.catalog import Method

@@ -17,7 +17,7 @@ from baselines.kitnet.network import KitNet
 from baselines.kitnet.views import CAVITY, CELL, CavityView, cavity_image, cavity_view, part_image
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
-from kit1000.perception.networks.loading import ready
+from kit1000.perception.networks.inference import ready
 from kit1000.perception.observed.kits import ObservedKits
 from kit1000.perception.sensor_facts import simulated_sensor
 from kit1000.pose import Pose

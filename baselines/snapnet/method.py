@@ -20,9 +20,9 @@ from baselines.snapnet.position import COARSEST, PositionNet, position_of
 from baselines.snapnet.query_volumes import ImageCache, QueryVolumes
 from baselines.snapnet.rotation import RotationNet, rotation_of
 from kit1000.dataset.reader import Dataset
-from kit1000.perception.completion.kits.completed import ReliefCompleter
-from kit1000.perception.completion.parts.completed import PartCompleter
-from kit1000.perception.networks.loading import ready
+from kit1000.perception.completion.kits import ReliefCompleter
+from kit1000.perception.completion.parts import PartCompleter
+from kit1000.perception.networks.inference import ready
 from kit1000.pose import Pose
 from kit1000.predictor import PredictedMotion
 from kit1000.queries.motions import apply_error

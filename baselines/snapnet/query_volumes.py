@@ -22,8 +22,8 @@ from torch.nn import functional
 from baselines.snapnet.config import Cells, PositionConfig, RotationConfig, Source
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh
-from kit1000.perception.completion.kits.completed import ReliefCompleter
-from kit1000.perception.completion.parts.completed import CompletedPart, PartCompleter
+from kit1000.perception.completion.kits import ReliefCompleter
+from kit1000.perception.completion.parts import CompletedPart, PartCompleter
 from kit1000.perception.observed.kits import ObservedKits
 from kit1000.perception.observed.parts import TABLE_MARGIN, ObservedPart
 from kit1000.perception.observed.pixels import cropped

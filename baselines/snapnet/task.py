@@ -17,8 +17,8 @@ from baselines.snapnet.position import PositionNet, position_loss, position_of
 from baselines.snapnet.rotation import RotationNet, rotation_loss
 from baselines.training.tasks.split_queries import Guesses
 from kit1000.dataset.reader import Dataset
-from kit1000.perception.completion.kits.completed import ReliefCompleter
-from kit1000.perception.completion.parts.completed import PartCompleter
+from kit1000.perception.completion.kits import ReliefCompleter
+from kit1000.perception.completion.parts import PartCompleter
 
 VALIDATION_QUERIES = {"position": 100, "rotation": 96}  # spread evenly over the validation split
 

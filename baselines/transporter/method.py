@@ -16,7 +16,7 @@ from baselines.transporter.lattice import rotation_from
 from baselines.transporter.network import TransporterNet
 from baselines.transporter.search import search
 from kit1000.dataset.reader import Dataset
-from kit1000.perception.networks.loading import ready
+from kit1000.perception.networks.inference import ready
 from kit1000.pose import Pose
 from kit1000.predictor import PredictedMotion
 from kit1000.queries.guesses import MAX_ANGLE, MAX_OFFSET

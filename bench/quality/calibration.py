@@ -19,7 +19,7 @@ from bench.measured import measured_dataset, run, spread, timed
 from benchmark.measurements import Column, Measurement, estimate
 from kit1000.dataset.reader import RecordedScene
 from kit1000.perception.calibration import OUTLINE, calibrated
-from kit1000.perception.calibration.borders import OutlineEdge
+from kit1000.perception.calibration.camera_pose import OutlineEdge
 from kit1000.values import View
 
 WAYS: dict[str, Sequence[OutlineEdge] | None] = {

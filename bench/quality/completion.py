@@ -25,7 +25,7 @@ from bench.measured import add_components, measured_dataset, run, spread, timed
 from benchmark.measurements import Column, Measurement, estimate
 from kit1000.dataset.reader import Dataset
 from kit1000.metrics.volumes import occupancy_iou, surface_chamfer
-from kit1000.perception.completion.parts.completed import CompletedPart, PartCompleter
+from kit1000.perception.completion.parts import CompletedPart, PartCompleter
 from kit1000.perception.observed.kits import ObservedKits
 from kit1000.perception.observed.parts import ObservedPart
 from kit1000.perception.restoration import calibrated_image, restored

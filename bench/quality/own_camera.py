@@ -34,7 +34,7 @@ from kit1000.dataset.mcap_io import ObservationWriter
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.dataset.scene_data import Observation
 from kit1000.metrics import Targets, pose_errors, seatings
-from kit1000.perception.calibration.plane import table_plane
+from kit1000.perception.calibration.table import table_plane
 from kit1000.pose import Pose
 from kit1000.prediction.catalog import Method
 from kit1000.prediction.making import PREDICTED_MASKS, make_predictor, method_of

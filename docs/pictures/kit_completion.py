@@ -15,10 +15,9 @@ import numpy as np
 from PIL import Image
 
 from kit1000.dataset.reader import Dataset, RecordedScene
-from kit1000.perception.completion.kits.completed import ReliefCompleter, filled_by_columns
+from kit1000.perception.completion.kits import ReliefCompleter, filled_by_columns
 from kit1000.perception.image_kinds import IDEAL
-from kit1000.perception.observed.kits import ObservedKits
-from kit1000.perception.observed.relief import DEEPEST, true_depths
+from kit1000.perception.observed.kits import DEEPEST, ObservedKits, true_depths
 from kit1000.weights import WEIGHTS
 
 OUT = Path(__file__).with_name("kit-completion.png")

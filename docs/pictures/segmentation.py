@@ -18,9 +18,8 @@ from PIL import Image
 from baselines.training.tasks.restoration.views import FACTS, SENSOR
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.metrics.segmentation import matched_masks
-from kit1000.perception.segmentation.bodies import find_bodies
-from kit1000.perception.segmentation.evidence import evidence_of
-from kit1000.perception.segmentation.instances import segmented
+from kit1000.perception.segmentation.instances import find_bodies, segmented
+from kit1000.perception.segmentation.part_finder import inputs_of
 from kit1000.perception.segmentation.predicted_masks import mask_networks
 from kit1000.values import FIRST_PART_LABEL
 
@@ -68,7 +67,7 @@ def _case(scene: RecordedScene) -> Case:
         for start in [int(np.clip((at.min() + at.max() - size) // 2, 0, most - size))]
     )
     box = tall, broad
-    heights = np.clip(evidence_of(bodies)["restored"][box] / HIGHEST, 0, 1)
+    heights = np.clip(inputs_of(bodies)["restored"][box] / HIGHEST, 0, 1)
     offset, part = finder.votes(bodies, box)
     vote = np.stack([offset[0], np.zeros_like(offset[0]), offset[1]], axis=-1) / FARTHEST
     pictures = [

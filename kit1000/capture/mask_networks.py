@@ -11,8 +11,7 @@ import numpy as np
 from kit1000.capture.own_world import world_of_bodies
 from kit1000.capture.seen_bodies import SeenBody, measured_body
 from kit1000.capture.table_search import Table, convex_outline
-from kit1000.perception.segmentation.bodies import find_bodies
-from kit1000.perception.segmentation.instances import segmented
+from kit1000.perception.segmentation.instances import find_bodies, segmented
 from kit1000.perception.sensor_facts import SensorFacts
 from kit1000.values import ASSEMBLY_LABEL, View
 

@@ -15,7 +15,7 @@ from scipy.spatial import ConvexHull, QhullError
 from kit1000.camera import Camera
 from kit1000.capture.pinhole_images import PinholeImage
 from kit1000.errors import InputError
-from kit1000.perception.calibration.plane import TUKEY, tukey_weights
+from kit1000.perception.calibration.table import TUKEY, tukey_weights
 from kit1000.rng import stream
 
 STEP = 6  # [px] between pixels that vote

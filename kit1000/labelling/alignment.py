@@ -23,7 +23,7 @@ from scipy.ndimage import binary_erosion
 from kit1000.labelling.body_windows import BodyWindow
 from kit1000.labelling.standing_plane import CELL, Support
 from kit1000.mesh import Mesh
-from kit1000.perception.calibration.plane import TUKEY, tukey_weights
+from kit1000.perception.calibration.table import TUKEY, tukey_weights
 from kit1000.pose import Pose, unit_vector
 from kit1000.sim.render import render
 

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 
 from kit1000.errors import InputError
-from kit1000.perception.calibration.plane import TUKEY, tukey_weights
+from kit1000.perception.calibration.table import TUKEY, robust_plane
 from kit1000.pose import Pose, unit_vector
 from kit1000.values import LabelledDepth
 
@@ -60,7 +60,7 @@ def seen_support(image: LabelledDepth) -> Support:
             f"the image shows {len(rays) * STEP**2} pixels of the table within {REACH * 1e3:g} mm of z = 0, expected "
             f"{LEAST_PIXELS * STEP**2} or more: is the table in view, and is the camera's pose right?"
         )
-    coefficients, noise = _fitted(rays, inverse)
+    coefficients, _, noise = robust_plane(rays, inverse, ROUNDS)
     residuals = inverse - rays @ coefficients
     table = np.abs(residuals) < TUKEY * noise
     bend = _bend(pixels[table], residuals[table])
@@ -75,21 +75,6 @@ def _bend(pixels: np.ndarray, residuals: np.ndarray) -> float:
     means = np.bincount(cells.ravel(), residuals) / counts
     full = counts >= LEAST_CELL
     return float(np.sqrt(np.mean(np.square(means[full])))) if full.any() else 0.0
-
-
-def _fitted(rays: np.ndarray, inverse: np.ndarray) -> tuple[np.ndarray, float]:
-    """c (3,) of the plane 1/z = c . ray through rays (n, 3) with inverse depths (n,) [1/m], and their spread.
-
-    With Tukey's weights.
-    """
-    weights, coefficients, spread = np.ones(len(inverse)), np.zeros(3), 0.0
-    for _ in range(ROUNDS):
-        root = np.sqrt(weights)
-        coefficients = np.linalg.lstsq(rays * root[:, None], inverse * root, rcond=None)[0]
-        residuals = inverse - rays @ coefficients
-        spread = 1.4826 * float(np.median(np.abs(residuals))) + 1e-9
-        weights = tukey_weights(residuals, TUKEY * spread)
-    return coefficients, spread
 
 
 def standing_frame(support: Support, above: np.ndarray) -> Pose:

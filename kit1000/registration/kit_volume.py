@@ -11,7 +11,7 @@ import numpy as np
 from scipy.ndimage import find_objects, label
 
 from kit1000.perception.image_kinds import Noise
-from kit1000.perception.observed.fusion import MaskedView, observed_distance
+from kit1000.perception.observed.columns import MaskedView, observed_distance
 from kit1000.perception.observed.pixels import oriented_points
 from kit1000.perception.observed.plates import Plane, find_planes, on_plane, plane_frame, without_nested
 from kit1000.pose import Pose

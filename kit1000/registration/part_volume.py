@@ -16,7 +16,7 @@ from kit1000.values import LabelledDepth, TrueGeometry
 from kit1000.voxels import Grid, Volume, signed_distance, surface_points
 
 if TYPE_CHECKING:
-    from kit1000.perception.completion.parts.completed import CompletedPart, PartCompleter
+    from kit1000.perception.completion.parts import CompletedPart, PartCompleter
 
 VOXEL = 1e-3  # [m] of the part's volumes
 SEEN_POINTS = 1500  # points of the part's surface that are read
@@ -65,7 +65,7 @@ def seen_part(
     """
     completed = None
     if completer is not None:
-        from kit1000.perception.completion.parts.completed import CompletedPart
+        from kit1000.perception.completion.parts import CompletedPart
 
         completed = CompletedPart(observed, completer, measured if restores else None)
     images: Sequence[LabelledDepth] = (observed.image, *observed.others)

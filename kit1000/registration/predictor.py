@@ -89,10 +89,10 @@ class Registration:
         completion = self.noisy_completion if kind.restores and self.noisy_completion else self.completion
         restoration = self.restoration if kind.restores else None
         return Networks(
-            completer=_loaded("completion.parts.completed:PartCompleter", completion),
+            completer=_loaded("completion.parts:PartCompleter", completion),
             restorer=_loaded("restoration.restorer:Restorer", restoration),
-            filler=_loaded("restoration.hole_filler:HoleFiller", self.hole_filling if kind.fills_holes else None),
-            placer=_loaded("placement.placer:Placer", self.placement if restoration else None),
+            filler=_loaded("restoration.restorer:HoleFiller", self.hole_filling if kind.fills_holes else None),
+            placer=_loaded("placement.network:Placer", self.placement if restoration else None),
         )
 
     @cached_property
@@ -107,10 +107,10 @@ class Registration:
         """
         if self.kit_completion is None:
             return None
-        from kit1000.perception.completion.kits.hidden_surface import completed_kits
+        from kit1000.perception.completion.kits import completed_kits
 
         sensor = self._sensor(query)
-        completer = _loaded("completion.kits.completed:ReliefCompleter", self.kit_completion)
+        completer = _loaded("completion.kits:ReliefCompleter", self.kit_completion)
         return completed_kits(query, sensor, completer, self.networks(sensor.kind).restorer)
 
     def _agreed_fits(self, queries: Sequence[Query], geometry: TrueGeometry | None = None) -> list[Fit]:

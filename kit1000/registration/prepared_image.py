@@ -23,10 +23,9 @@ from kit1000.registration.search import LARGEST, affordable
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, Query
 
 if TYPE_CHECKING:
-    from kit1000.perception.completion.parts.completed import PartCompleter
-    from kit1000.perception.placement.placer import Placer
-    from kit1000.perception.restoration.hole_filler import HoleFiller
-    from kit1000.perception.restoration.restorer import Restorer
+    from kit1000.perception.completion.parts import PartCompleter
+    from kit1000.perception.placement.network import Placer
+    from kit1000.perception.restoration.restorer import HoleFiller, Restorer
 
 
 @dataclass(frozen=True)

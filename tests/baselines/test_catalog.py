@@ -16,7 +16,7 @@ from baselines.catalog import all_methods, all_networks, method_of
 from baselines.controls import SeenGoal, seen_motion
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
-from kit1000.perception.observed.query_points import observed_points
+from kit1000.perception.observed.pixels import observed_points
 from kit1000.pose import Pose
 from kit1000.prediction.catalog import Method
 from kit1000.prediction.imported_sources import imported_modules

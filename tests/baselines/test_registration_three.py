@@ -16,7 +16,7 @@ from kit1000.camera import Camera, look_at
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.mesh import mesh_from_solid
-from kit1000.perception.observed.fusion import MaskedView, observed_distance
+from kit1000.perception.observed.columns import MaskedView, observed_distance
 from kit1000.perception.observed.parts import ObservedPart
 from kit1000.pose import Pose
 from kit1000.sim.render import render

@@ -12,9 +12,8 @@ from kit1000.camera import look_at
 from kit1000.errors import ShapeError
 from kit1000.mesh import Mesh
 from kit1000.perception.calibration import OUTLINE, CameraEstimate, calibrated, camera_estimate_by, flattened
-from kit1000.perception.calibration.borders import REACH, OutlineEdge, seen_borders
-from kit1000.perception.calibration.camera_pose import SPREADS, camera_estimate
-from kit1000.perception.calibration.plane import BENT, PLANE_REACH, table_plane
+from kit1000.perception.calibration.camera_pose import REACH, SPREADS, OutlineEdge, camera_estimate, seen_borders
+from kit1000.perception.calibration.table import BENT, PLANE_REACH, table_plane
 from kit1000.perception.sensor_facts import simulated_sensor
 from kit1000.pose import Pose
 from kit1000.rng import stream

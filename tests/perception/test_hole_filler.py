@@ -17,8 +17,8 @@ from baselines.training.tasks.hole_filling.views import CROPS, example_of
 from baselines.training.tasks.noisy_images import scanned_view
 from kit1000.dataset.reader import Dataset
 from kit1000.perception.restoration.disparity import depths
-from kit1000.perception.restoration.hole_filler import UNIT, HoleFiller, hole_evidence, holes
 from kit1000.perception.restoration.network import Mixture, RestorationConfig, RestorationNet
+from kit1000.perception.restoration.restorer import UNIT, HoleFiller, hole_inputs, holes
 from kit1000.perception.restoration.rules import closed_gaps
 from kit1000.perception.sensor_facts import simulated_sensor
 from kit1000.pose import Pose
@@ -89,7 +89,7 @@ def test_a_hole_is_filled_where_the_network_is_sure(scanned: LabelledDepth, spre
 
 def _first_estimate(image: LabelledDepth) -> np.ndarray:
     """(H, W) [m] the depths that the network reads."""
-    read = hole_evidence(image)["disparity"].astype(np.float64)
+    read = hole_inputs(image)["disparity"].astype(np.float64)
     everywhere = (slice(0, read.shape[0]), slice(0, read.shape[1]))
     return depths(read, image.view, everywhere, UNIT)
 

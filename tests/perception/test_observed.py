@@ -12,8 +12,7 @@ from scipy.ndimage import distance_transform_edt
 from kit1000.camera import Camera, look_at
 from kit1000.mesh import Mesh
 from kit1000.perception.image_kinds import IDEAL
-from kit1000.perception.observed.filled_columns import ObservedColumns
-from kit1000.perception.observed.fusion import MaskedView
+from kit1000.perception.observed.columns import MaskedView, ObservedColumns
 from kit1000.perception.observed.kits import HALF_HEIGHT, ObservedKits
 from kit1000.perception.observed.kits import HALF_WIDTH as KIT_HALF_WIDTH
 from kit1000.perception.observed.parts import HALF_WIDTH, TABLE_MARGIN, ObservedPart

@@ -12,12 +12,15 @@ from kit1000.perception.placement.channels import CELLS, Channel
 from kit1000.perception.placement.network import (
     HOLD,
     LEVER,
+    MIRRORED,
+    SHARE,
+    STEP,
     PlacementConfig,
     PlacementNet,
+    Placer,
     cavity_slopes,
     placed,
 )
-from kit1000.perception.placement.placer import MIRRORED, SHARE, STEP, Placer
 
 SMALL = PlacementConfig(widths=(8, 8, 8))
 UNITS = np.array([LEVER, 1e3, 1e3])

@@ -20,11 +20,11 @@ from kit1000.errors import InputError
 from kit1000.perception.networks.weight_files import save_weights
 from kit1000.perception.restoration.disparity import (
     STARTS,
-    Evidence,
+    Inputs,
     above_table,
-    cropped_evidence,
+    cropped_inputs,
     depths,
-    evidence,
+    labelled_inputs,
     padded_box,
     shifted_box,
 )
@@ -56,8 +56,8 @@ def untrained(bias: float = 0.0) -> RestorationNet:
     return net
 
 
-def read_of(image: LabelledDepth) -> Evidence:
-    return evidence(image, closed_gaps(image).view, D415)
+def read_of(image: LabelledDepth) -> Inputs:
+    return labelled_inputs(image, closed_gaps(image).view, D415)
 
 
 def test_an_exact_image_shows_the_truth_and_depths_come_back(exact: LabelledDepth) -> None:
@@ -120,7 +120,7 @@ def test_a_pixel_is_where_the_second_of_three_images_shows_it(noisy: LabelledDep
     box, shown = padded_box(rows, columns, SIDE, CAMERA), []
     for start in STARTS:
         wide = shifted_box(box, start, SIDE, CAMERA)
-        cut = cropped_evidence(read_of(noisy), wide)
+        cut = cropped_inputs(read_of(noisy), wide)
         with torch.inference_mode():
             read = (torch.from_numpy(cut[name])[None] for name in ("disparity", "returned", "labels", "slope"))
             likeliest = net.eval()(*read).likeliest()[0].numpy()

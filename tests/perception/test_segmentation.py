@@ -22,10 +22,16 @@ from kit1000.mesh import Mesh
 from kit1000.metrics.segmentation import matched_masks, mean_iou
 from kit1000.perception.image_kinds import IDEAL
 from kit1000.perception.restoration.restorer import Restorer
-from kit1000.perception.segmentation.bodies import OF_LARGEST, find_bodies, world_points
-from kit1000.perception.segmentation.instances import segmented
-from kit1000.perception.segmentation.merging import area_of, best_pairs, gap_between, outline_of
-from kit1000.perception.segmentation.pieces import MOST_PIECES, connected, find_pieces
+from kit1000.perception.segmentation.instances import OF_LARGEST, find_bodies, segmented, world_points
+from kit1000.perception.segmentation.pieces import (
+    MOST_PIECES,
+    area_of,
+    best_pairs,
+    connected,
+    find_pieces,
+    gap_between,
+    outline_of,
+)
 from kit1000.perception.segmentation.predicted_masks import MASKS_WEIGHTS, with_predicted_masks
 from kit1000.perception.sensor_facts import simulated_sensor
 from kit1000.pose import Pose

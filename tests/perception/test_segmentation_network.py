@@ -18,13 +18,10 @@ from kit1000.errors import InputError
 from kit1000.metrics.segmentation import mean_iou
 from kit1000.perception.networks.weight_files import save_weights
 from kit1000.perception.restoration.restorer import Restorer
-from kit1000.perception.segmentation.bodies import find_bodies
-from kit1000.perception.segmentation.evidence import evidence_of
-from kit1000.perception.segmentation.instances import segmented
+from kit1000.perception.segmentation.instances import find_bodies, segmented
 from kit1000.perception.segmentation.network import CentresConfig, CentresNet, Votes
-from kit1000.perception.segmentation.part_finder import PartFinder
+from kit1000.perception.segmentation.part_finder import APART, PartFinder, gathered, inputs_of
 from kit1000.perception.segmentation.predicted_masks import MASKS_WEIGHTS
-from kit1000.perception.segmentation.votes import APART, gathered
 from kit1000.perception.sensor_facts import simulated_sensor
 from kit1000.pose import Pose
 from kit1000.values import FIRST_PART_LABEL, LabelledDepth
@@ -82,7 +79,7 @@ def test_a_scene_of_another_size_looks_alike_from_a_distance_in_proportion(mini:
     bodies = find_bodies(view, simulated_sensor("ideal"))
     pose = view.world_from_camera
     larger = replace(view, depth=view.depth * np.float32(1.6), world_from_camera=Pose(pose.wxyz, 1.6 * pose.xyz))
-    one, other = (evidence_of(bodies._replace(view=each, measured=each)) for each in (view, larger))
+    one, other = (inputs_of(bodies._replace(view=each, measured=each)) for each in (view, larger))
     for name, values in one.items():
         np.testing.assert_allclose(values, other[name], atol=2e-3)
     table = bodies.view.depth > 0

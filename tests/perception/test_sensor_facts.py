@@ -10,11 +10,11 @@ import pytest
 from kit1000.camera import Camera, look_at
 from kit1000.errors import InputError
 from kit1000.perception.calibration import OUTLINE, calibrated_by
-from kit1000.perception.calibration.borders import borders_of
-from kit1000.perception.calibration.table_top import flattened
+from kit1000.perception.calibration.camera_pose import borders_of
+from kit1000.perception.calibration.table import flattened
 from kit1000.perception.image_kinds import D415, PHOTONEO, RESTORED
 from kit1000.perception.restoration import restored
-from kit1000.perception.segmentation.bodies import find_bodies
+from kit1000.perception.segmentation.instances import find_bodies
 from kit1000.perception.sensor_facts import (
     KEY,
     SensorFacts,

@@ -7,11 +7,11 @@ import trimesh
 
 from kit1000.camera import Camera, look_at
 from kit1000.mesh import Mesh
-from kit1000.perception.completion.kits.completed import ReliefCompleter
-from kit1000.perception.completion.parts.completed import FillLogits, PartCompleter
-from kit1000.perception.completion.parts.frame import FramedPart
+from kit1000.perception.completion.kits import ReliefCompleter
+from kit1000.perception.completion.part_network import FramedPart
+from kit1000.perception.completion.parts import FillLogits, PartCompleter
+from kit1000.perception.observed.kits import CompletedRelief, SeenRelief, true_depths
 from kit1000.perception.observed.occupancy import filled_share
-from kit1000.perception.observed.relief import CompletedRelief, SeenRelief, true_depths
 from kit1000.pose import Pose
 from kit1000.sim.render import render
 from kit1000.values import ASSEMBLY_LABEL, LabelledDepth, View

@@ -6,8 +6,13 @@ depths that is left on the table) and `table_top` (which pixels look at the tabl
 """
 
 from kit1000.perception.calibration.bending import unbent
-from kit1000.perception.calibration.borders import OUTLINE
-from kit1000.perception.calibration.camera_pose import CameraEstimate, calibrated, calibrated_by, camera_estimate_by
-from kit1000.perception.calibration.table_top import flattened
+from kit1000.perception.calibration.camera_pose import (
+    OUTLINE,
+    CameraEstimate,
+    calibrated,
+    calibrated_by,
+    camera_estimate_by,
+)
+from kit1000.perception.calibration.table import flattened
 
 __all__ = ["OUTLINE", "CameraEstimate", "calibrated", "calibrated_by", "camera_estimate_by", "flattened", "unbent"]

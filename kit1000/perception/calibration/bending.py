@@ -15,8 +15,7 @@ from scipy.ndimage import binary_dilation
 
 from kit1000.numerics.elimination import solve_positive
 from kit1000.numerics.linear_algebra import matmul
-from kit1000.perception.calibration.plane import plane_coefficients
-from kit1000.perception.calibration.table_top import rays
+from kit1000.perception.calibration.table import plane_coefficients, rays
 from kit1000.values import View
 
 CELL = 40  # [px] edge of the cells over which residuals are averaged

@@ -8,8 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kit1000.perception.observed.filled_columns import ObservedColumns
-from kit1000.perception.observed.fusion import MaskedView
+from kit1000.perception.observed.columns import MaskedView, ObservedColumns
 from kit1000.perception.observed.pixels import subpixel_points
 from kit1000.pose import Pose
 from kit1000.values import LabelledDepth

@@ -7,7 +7,7 @@ from scipy.ndimage import uniform_filter
 
 from kit1000.camera import Camera
 from kit1000.numerics.compiled import compiled
-from kit1000.values import LabelledDepth, View
+from kit1000.values import LabelledDepth, Query, View
 
 SUBPIXELS = 4  # points across a pixel: closer than columns, also on slanted surfaces
 STRIDE = 2  # a normal for every second pixel of every second row
@@ -109,3 +109,17 @@ def depth_slopes(depth: np.ndarray, mask: np.ndarray, axis: int) -> np.ndarray:
     behind = np.where(np.roll(mask, 1, axis), behind, np.inf)
     nearer = np.where(np.abs(ahead) < np.abs(behind), ahead, behind)
     return np.where(np.isfinite(nearer), nearer, 0.0)
+
+
+def observed_points(query: Query, mask: np.ndarray, most: int | None = None) -> np.ndarray:
+    """(n, 3) float64 [m] world: the points of the pixels of a mask (H, W) that have a return, row by row.
+
+    With `most`, every k-th of them, so that there are no more than that.
+    """
+    view = query.view
+    v, u = np.nonzero(mask & (view.depth > 0))
+    if most is not None:
+        step = -(-len(v) // most) or 1
+        v, u = v[::step], u[::step]
+    points = view.camera.unproject_pixels(np.stack([u, v], axis=-1), view.depth[v, u])
+    return view.world_from_camera.apply(points)

@@ -2,7 +2,7 @@
 
 The image beside the rendered cavity of a fit is a linear problem: disparities change with the fit's place and yaw by
 the slopes of the cavity. Plain least squares follow rims that a completed part does not have, and ramps that no cavity
-has. The network tells for each cell how much it weighs, and how far its disparity is off.
+has. The network predicts for each cell how much it weighs, and how far its disparity is off.
 
 B batch, n cells of a side; features are (B, C, x, y), channels last in memory.
 """
@@ -10,11 +10,14 @@ B batch, n cells of a side; features are (B, C, x, y), channels last in memory.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from kit1000.perception.networks.inference import on_cpu, on_grid
 from kit1000.perception.networks.unet import UNet
 from kit1000.perception.placement.channels import Channel
 
@@ -30,6 +33,10 @@ WEIGHT_OF_ONE = 0.5413  # softplus of it is 1: at first all cells weigh the same
 SHARE_AT_FIRST = -3.0  # logit of the share of the measured image
 HOLD = 4.0  # [cells (px/mm)^2] by which a fit is held where it was
 BEND = 1e-2  # [cells] the same of the bend of the face
+SHARE = 0.7  # of a move that is made: on the split val fewer fits are lost than with all of it
+MOVE_STEP = 1e-3  # [mm] to which moves are rounded: the last digits of sums depend on the processor
+MIRRORED = np.array([-1.0, 1.0, -1.0])
+"""Signs of a move when left and right are exchanged."""
 
 
 @dataclass(frozen=True)
@@ -137,3 +144,22 @@ def _averaged(image: Tensor, cells: int) -> Tensor:
     """(B, n, n) averaged over squares of an odd number of cells of a side."""
     padded = F.pad(image[:, None], (cells // 2,) * 4, mode="replicate")
     return F.avg_pool2d(padded, cells, 1)[:, 0]
+
+
+class Placer:
+    """The network with its weights."""
+
+    def __init__(self, weights: Path | PlacementNet) -> None:
+        """weights: stem of the files, or the network itself."""
+        self.net = on_cpu(weights, PlacementConfig, PlacementNet, exact=True)
+
+    def __call__(self, channels: np.ndarray) -> np.ndarray:
+        """(3,) yaw [rad] and shift along x and y [m] of the fit of a patch (Channel, n, n), in its frame.
+
+        A SHARE of the mean of those of the patch and of its mirror image.
+        """
+        pair = torch.from_numpy(np.stack([channels, channels[:, :, ::-1]]).astype(np.float64))
+        with torch.inference_mode():
+            move, mirrored = self.net(pair, torch.tensor([False, True])).numpy()
+        made = SHARE * (move + MIRRORED * mirrored) / 2
+        return on_grid(made, MOVE_STEP) * (1 / LEVER, 1e-3, 1e-3)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,7 @@ from kit1000.perception.restoration.rules import close_gaps, ground_inverse_dept
 from kit1000.perception.sensor_facts import SensorFacts
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, View
 
-Evidence = dict[str, np.ndarray]
+Inputs = dict[str, np.ndarray]
 Box = tuple[slice, slice]
 
 NEAR_TABLE = 1.5  # [px] from the table's plane, of the pixels that show how noisy the image is
@@ -19,7 +20,7 @@ LEVEL_STEP = 3  # [px] between them
 STARTS = ((16, 16), (11, 7), (8, 13))  # [px] above and left of a box, where images of it begin; odd in number
 
 
-def evidence(image: LabelledDepth, closed: View, sensor: SensorFacts) -> Evidence:
+def labelled_inputs(image: LabelledDepth, closed: View, sensor: SensorFacts) -> Inputs:
     """What the network reads of a calibrated image: see `RestorationNet.forward`; (H, W) arrays, `slope`, `level`.
 
     closed: its view as of `closed_gaps`.
@@ -27,15 +28,15 @@ def evidence(image: LabelledDepth, closed: View, sensor: SensorFacts) -> Evidenc
     kinds = np.select([image.labels == ASSEMBLY_LABEL, image.labels >= FIRST_PART_LABEL], [1, 2], 0)
     returned = (image.labels == 0) | (image.view.depth > 0)
     table = (image.labels == 0) & (image.view.depth > 0)
-    return _evidence(closed, returned, kinds, sensor) | {"level": noise_level(image.view, table, sensor)}
+    return _inputs(closed, returned, kinds, sensor) | {"level": noise_level(image.view, table, sensor)}
 
 
-def unlabelled_evidence(view: View, sensor: SensorFacts) -> Evidence:
+def unlabelled_inputs(view: View, sensor: SensorFacts) -> Inputs:
     """The same of a calibrated view without masks: `labels` is 0 everywhere."""
     depth, everywhere = view.depth.copy(), np.ones(view.depth.shape, bool)
     close_gaps(depth, everywhere)
     returned = view.depth > 0
-    read = _evidence(replace(view, depth=depth), returned, np.zeros(depth.shape), sensor)
+    read = _inputs(replace(view, depth=depth), returned, np.zeros(depth.shape), sensor)
     return read | {"level": noise_level(view, returned, sensor)}
 
 
@@ -54,7 +55,7 @@ def noise_level(calibrated: View, mask: np.ndarray, sensor: SensorFacts) -> np.n
     return np.array([level], np.float32)
 
 
-def _evidence(view: View, returned: np.ndarray, kinds: np.ndarray, sensor: SensorFacts) -> Evidence:
+def _inputs(view: View, returned: np.ndarray, kinds: np.ndarray, sensor: SensorFacts) -> Inputs:
     disparity = above_table(view.depth, view, sensor)
     slope = sensor.gain(view.camera) * ground_slope(view)
     return {"disparity": disparity, "returned": returned, "labels": kinds.astype(np.uint8), "slope": slope}
@@ -81,7 +82,7 @@ def ground_slope(view: View) -> np.ndarray:
     return np.array([down[0] / camera.fx, down[1] / camera.fy], np.float32) / np.float32(height)
 
 
-def cropped_evidence(evidence: Evidence, box: Box) -> Evidence:
+def cropped_inputs(evidence: Inputs, box: Box) -> Inputs:
     """The evidence in a box of the image."""
     return {name: value if value.ndim == 1 else np.ascontiguousarray(value[box]) for name, value in evidence.items()}
 
@@ -89,6 +90,17 @@ def cropped_evidence(evidence: Evidence, box: Box) -> Evidence:
 def padded_box(rows: slice, columns: slice, side: int, camera: Camera) -> Box:
     """A box about another one within the image, its sides multiples of a number of pixels."""
     return _stretched(rows, side, camera.height), _stretched(columns, side, camera.width)
+
+
+def median_of_shifts(predict: Callable[[Box], np.ndarray], box: Box, side: int, camera: Camera) -> np.ndarray:
+    """(..., h, w) the median of predictions for a box, made from images that begin at several pixels.
+
+    Networks are coarse inside: where an image begins, to `side` px, changes what they predict beside edges.
+
+    predict: called with a box: (..., h, w).
+    """
+    boxes = shifted_boxes(box, side, camera)
+    return np.median([predict(wide)[(..., *inside)] for wide, inside in boxes], axis=0)
 
 
 def shifted_boxes(box: Box, side: int, camera: Camera) -> list[tuple[Box, Box]]:

@@ -1,9 +1,15 @@
-"""Restoration by the network: each pixel of a body shows the likelier of two surfaces."""
+"""Restoration by networks: of noisy images of stereo cameras, and of holes in the images of scanners.
+
+In a restored image, each pixel of a body shows the likelier of two surfaces. In a scanner's image, pixels with a return
+stay as they were measured; a hole is filled if the network is sure of its depth. Its disparities are those that the
+d415 would measure, so that scanners of any baseline look alike.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,42 +18,39 @@ from scipy.ndimage import binary_opening, find_objects
 from torch import Tensor
 
 from kit1000.perception.calibration import flattened
-from kit1000.perception.networks.loading import ready
-from kit1000.perception.networks.unet import folded, in_float64
+from kit1000.perception.networks.inference import on_cpu, on_grid, ready
 from kit1000.perception.restoration.disparity import (
     Box,
-    Evidence,
-    cropped_evidence,
+    Inputs,
+    cropped_inputs,
     depths,
-    evidence,
+    labelled_inputs,
+    median_of_shifts,
     padded_box,
-    shifted_boxes,
-    unlabelled_evidence,
+    unlabelled_inputs,
 )
 from kit1000.perception.restoration.network import SIDE, Mixture, RestorationConfig, RestorationNet
 from kit1000.perception.restoration.rules import closed_gaps
-from kit1000.perception.sensor_facts import SensorFacts
+from kit1000.perception.sensor_facts import SensorFacts, simulated_sensor
 from kit1000.values import LabelledDepth, View
 
 HEIGHT = 4e-3  # [m] along the ray, in front of the table, from which on something is a body
 BORDER = 16  # [px] about bodies
 DISPARITY_STEP = 1 / 512  # [px] to which disparities are rounded: the last digits of sums depend on the processor
+UNIT = simulated_sensor("d415")  # sensor in whose disparities the network reads and predicts depths
+LEAST_SURE = 0.5  # probability of a depth within NEAR, from which on it is filled in
+NEAR = 0.12  # [px] of disparity: 1.5 mm from 0.8 m
+SURE_DECIMALS = 6  # of that probability: the last digits of exponentials depend on the processor
 
 
 class Restorer:
-    """The network with its weights."""
+    """The network that denoises, with its weights."""
 
     def __init__(self, weights: Path | RestorationNet) -> None:
-        """weights: stem of the files, or the network itself.
-
-        With masks it calculates in float64: of 399 predictions from images restored in float32 a quarter depended on
-        the processor, by up to 2 mm, for about one pixel in 200,000 was rounded otherwise. Without masks only masks
-        come of it.
-        """
-        net = folded(ready(weights, RestorationConfig, RestorationNet)).to("cpu")  # on which the last digits are known
-        exact = net.config.labelled
-        self.net = in_float64(net) if exact else net.to(memory_format=torch.channels_last)
-        self.precision = torch.float64 if exact else torch.float32
+        """weights: stem of the files, or the network itself; it calculates in float64 unless it only finds masks."""
+        net = ready(weights, RestorationConfig, RestorationNet)
+        self.net = on_cpu(net, RestorationConfig, RestorationNet, exact=net.config.labelled)
+        self.precision = torch.float64 if net.config.labelled else torch.float32
 
     def __call__(self, image: LabelledDepth, sensor: SensorFacts, labels: Sequence[int]) -> LabelledDepth:
         """A calibrated image with its table on its plane and the bodies of some labels denoised.
@@ -60,11 +63,11 @@ class Restorer:
     def begin(self, image: LabelledDepth, sensor: SensorFacts) -> Restoration:
         """The restoration of a calibrated image, of which no body is denoised yet."""
         closed = closed_gaps(image, sensor.simulated_table)
-        return Restoration(self, closed, sensor, evidence(image, closed.view, sensor))
+        return Restoration(self, closed, sensor, labelled_inputs(image, closed.view, sensor))
 
     def without_masks(self, view: View, sensor: SensorFacts) -> View:
         """A calibrated view with bodies and the table about them where they likely are; farther off only the table."""
-        read = unlabelled_evidence(view, sensor)
+        read = unlabelled_inputs(view, sensor)
         nothing = np.zeros(view.depth.shape, np.uint8)
         depth = flattened(view, nothing, sensor.simulated_table).depth.copy()
         in_front = read["disparity"] * view.depth**2 / sensor.gain(view.camera)  # [m] of the table
@@ -76,11 +79,18 @@ class Restorer:
             depth[wide] = depths(self.likeliest(read, wide), view, wide, sensor)
         return replace(view, depth=depth)
 
-    def likeliest(self, read: Evidence, box: Box) -> np.ndarray:
+    def likeliest(self, read: Inputs, box: Box) -> np.ndarray:
         """(h, w) [px] the likeliest disparities in a box of the image, rounded."""
         with torch.inference_mode():
-            likeliest = mixture_in(self.net, read, box, self.precision).likeliest()
-        return rounded(likeliest)
+            return rounded(self.mixture(read, box).likeliest())
+
+    def mixture(self, read: Inputs, box: Box) -> Mixture:
+        """What the network predicts for a box of the image."""
+        cut = cropped_inputs(read, box)
+        exact = ("disparity", "slope", "level")
+        disparity, slope, level = (torch.from_numpy(cut[name])[None].to(self.precision) for name in exact)
+        returned, labels = (torch.from_numpy(cut[name])[None] for name in ("returned", "labels"))
+        return self.net(disparity, returned, labels, slope, level)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +101,7 @@ class Restoration:
     closed: LabelledDepth
     """The image, its table on its plane and narrow shadows of bodies closed."""
     sensor: SensorFacts
-    inputs: Evidence
+    inputs: Inputs
     """What the network reads of the image."""
 
     def with_bodies(self, labels: Sequence[int], depth: np.ndarray | None = None) -> LabelledDepth:
@@ -102,17 +112,10 @@ class Restoration:
         view = self.closed.view
         restored = (view.depth if depth is None else depth).copy()
         for wide, mask in bodies_in(self.closed, labels):
-            found = depths(self._median(wide), view, wide, self.sensor)
+            median = median_of_shifts(partial(self.restorer.likeliest, self.inputs), wide, SIDE, view.camera)
+            found = depths(median, view, wide, self.sensor)
             restored[wide] = np.where(mask, found, restored[wide])
         return LabelledDepth(replace(view, depth=restored), self.closed.labels)
-
-    def _median(self, box: Box) -> np.ndarray:
-        """(h, w) [px] the median of the likeliest disparities in a box, by images that begin at several pixels.
-
-        The network is coarse inside: where an image begins, to SIDE px, changes what it predicts beside edges.
-        """
-        boxes = shifted_boxes(box, SIDE, self.closed.view.camera)
-        return np.median([self.restorer.likeliest(self.inputs, wide)[inside] for wide, inside in boxes], axis=0)
 
 
 def bodies_in(image: LabelledDepth, labels: Sequence[int]) -> Iterator[tuple[Box, np.ndarray]]:
@@ -125,15 +128,41 @@ def bodies_in(image: LabelledDepth, labels: Sequence[int]) -> Iterator[tuple[Box
             yield wide, image.labels[wide] == label
 
 
-def mixture_in(net: RestorationNet, read: Evidence, box: Box, precision: torch.dtype) -> Mixture:
-    """What a network tells of a box of the image."""
-    cut = cropped_evidence(read, box)
-    exact = ("disparity", "slope", "level")
-    disparity, slope, level = (torch.from_numpy(cut[name])[None].to(precision) for name in exact)
-    returned, labels = (torch.from_numpy(cut[name])[None] for name in ("returned", "labels"))
-    return net(disparity, returned, labels, slope, level)
-
-
 def rounded(disparity: Tensor) -> np.ndarray:
     """(h, w) [px] float64: disparities (1, h, w), rounded to DISPARITY_STEP."""
-    return np.rint(disparity[0].numpy().astype(np.float64) / DISPARITY_STEP) * DISPARITY_STEP
+    return on_grid(disparity[0].numpy().astype(np.float64), DISPARITY_STEP)
+
+
+def holes(image: LabelledDepth) -> np.ndarray:
+    """(H, W) bool: the pixels of bodies without a return."""
+    return (image.labels > 0) & (image.view.depth == 0)
+
+
+def hole_inputs(image: LabelledDepth, simulated: bool = True) -> Inputs:
+    """What the network reads of a calibrated image, see `evidence`; holes hold a first estimate from beside.
+
+    simulated: whether the table is that of generated scenes.
+    """
+    return labelled_inputs(image, closed_gaps(image, simulated).view, UNIT)
+
+
+class HoleFiller(Restorer):
+    """The network that fills holes, with its weights."""
+
+    def __call__(self, image: LabelledDepth, sensor: SensorFacts, labels: Sequence[int]) -> LabelledDepth:
+        """A calibrated image with the holes of the bodies of some labels filled if the network is sure."""
+        read, empty = hole_inputs(image, sensor.simulated_table), holes(image)
+        depth = image.view.depth.copy()
+        for wide, mask in bodies_in(image, labels):
+            disparity, sure = self._likeliest(read, wide)
+            filled = empty[wide] & mask & (sure >= LEAST_SURE)
+            depth[wide] = np.where(filled, depths(disparity, image.view, wide, UNIT), depth[wide])
+        return replace(image, view=replace(image.view, depth=depth))
+
+    def _likeliest(self, read: Inputs, box: Box) -> tuple[np.ndarray, np.ndarray]:
+        """(h, w) [px] the likeliest disparities in a box, rounded, and the probability that they are right to NEAR."""
+        with torch.inference_mode():
+            mixture = self.mixture(read, box)
+            likeliest = mixture.likeliest()
+            sure = mixture.probability_near(likeliest, NEAR)
+        return rounded(likeliest), np.round(sure[0].numpy(), SURE_DECIMALS)

@@ -1,16 +1,16 @@
-"""Masks from depth alone: the kits, and each part by itself."""
+"""Masks from depth alone: what stands on the table, apart for the kits' half and the parts' half, and each part."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.ndimage import find_objects
+from scipy.ndimage import find_objects, label, uniform_filter
 
 from kit1000.numerics.linear_algebra import matmul
-from kit1000.perception.segmentation.bodies import Bodies, find_bodies
-from kit1000.perception.segmentation.merging import Pieces, merged
-from kit1000.perception.segmentation.pieces import find_pieces
+from kit1000.perception.calibration import calibrated_by
+from kit1000.perception.image_kinds import ImageKind
+from kit1000.perception.segmentation.pieces import Pieces, find_pieces, merged
 from kit1000.perception.sensor_facts import SensorFacts, simulated_sensor
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, View
 
@@ -18,8 +18,128 @@ if TYPE_CHECKING:
     from kit1000.perception.restoration.restorer import Restorer
     from kit1000.perception.segmentation.part_finder import PartFinder
 
+SURE_HEIGHT = 6e-3  # [m] above the table: a body of a noisy image has a pixel as high as this
+LEAST_SURE = 5  # pixels with a return above SURE_HEIGHT, of a body in an image that a network restored
+RETURNED = 0.7  # least share of such a body's pixels with a return: elsewhere the network only guesses
+OF_LARGEST = 0.1  # share of the largest region on the kits' half: the kits are one body, smaller regions are none
+RECORDED_HEIGHT = 8e-3  # [m] above the table: before calibration, higher pixels are no part of it
+SHADOW = 40  # [px] the widest gap along a row that is the shadow of a near edge
+WINDOW, SHARE = 11, 0.6  # [px] around a pixel, and the share of body in it: fattened edges are bumpy, parts are not
 MOST_PARTS = 253  # labels of 8 bits hold no more
 IDEAL = simulated_sensor("ideal")
+
+
+class Bodies(NamedTuple):
+    """The bodies of an image."""
+
+    view: View
+    """The image they were found in: calibrated and with shadows closed where the sensor is noisy."""
+    points: np.ndarray
+    """(H, W, 3) [m] world: of every pixel; of one without a return, the camera's position."""
+    kits: np.ndarray
+    """(H, W) bool"""
+    parts: np.ndarray
+    """(H, W) bool"""
+    kind: ImageKind
+    """Kind of the view."""
+    measured: View
+    """The image before edges were restored or shadows closed, calibrated where the sensor is noisy."""
+
+
+def find_bodies(view: View, sensor: SensorFacts, restorer: Restorer | None = None) -> Bodies:
+    """The bodies on the kits' half (y > 0) and the parts' half of the table.
+
+    restorer: a network that restores noisy images without masks; None: they are read as they are.
+    """
+    kind = sensor.kind
+    if kind.exact:
+        points, height = _points_and_heights(view)
+        return _halves(view, points, height > kind.segmentation.least_height, kind, view)
+    above = (view.depth > 0) & (world_points(view)[..., 2] > RECORDED_HEIGHT)
+    measured = calibrated_by(view, above.astype(np.uint8), sensor)
+    if restorer is not None and kind.denoised is not None:
+        return _restored_bodies(restorer.without_masks(measured, sensor), kind.denoised, measured)
+    closed = without_shadows(measured)
+    points, height = _points_and_heights(closed)
+    body = _high_regions(height, kind.segmentation.least_height)
+    if kind.restores:
+        body = np.asarray(uniform_filter(body.astype(float), WINDOW)) > SHARE
+    return _halves(closed, points, body, kind, measured)
+
+
+def _restored_bodies(view: View, kind: ImageKind, measured: View) -> Bodies:
+    """The bodies in a view that a network restored."""
+    points, height = _points_and_heights(view)
+    body, far_half = _restored_regions(height, measured.depth > 0, kind.segmentation.least_height), on_far_half(points)
+    return Bodies(view, points, _largest_regions(body & far_half), body & ~far_half, kind, measured)
+
+
+def _halves(view: View, points: np.ndarray, body: np.ndarray, kind: ImageKind, measured: View) -> Bodies:
+    """The bodies of a mask (H, W), split into the two halves of the table."""
+    far_half = on_far_half(points)
+    return Bodies(view, points, body & far_half, body & ~far_half, kind, measured)
+
+
+def _points_and_heights(view: View) -> tuple[np.ndarray, np.ndarray]:
+    """(H, W, 3) [m] see `world_points`; (H, W) [m] heights above the table, 0 without a return."""
+    points = world_points(view)
+    return points, np.where(view.depth > 0, points[..., 2], 0.0)
+
+
+def _regions(mask: np.ndarray) -> np.ndarray:
+    """(H, W) int: from 1 on the pixels of each connected region of a mask (H, W), 0 elsewhere."""
+    return np.asarray(label(mask)[0], np.intp)  # type: ignore[index]
+
+
+def _high_regions(height: np.ndarray, least: float) -> np.ndarray:
+    """(H, W) bool: regions above the least height that hold a pixel above SURE_HEIGHT. height: (H, W) [m]."""
+    regions = _regions(height > least)
+    return np.isin(regions, np.unique(regions[height > SURE_HEIGHT]))
+
+
+def _restored_regions(height: np.ndarray, returned: np.ndarray, least: float) -> np.ndarray:
+    """(H, W) bool: regions above the least height [m] that the sensor saw too.
+
+    returned: (H, W) bool, pixels with a return.
+    """
+    regions = _regions(height > least)
+    count = int(regions.max()) + 1
+    masks = regions > 0, returned, returned & (height > SURE_HEIGHT)
+    pixels, with_return, sure = (np.bincount(regions[mask], minlength=count) for mask in masks)
+    return ((sure >= LEAST_SURE) & (with_return >= RETURNED * pixels) & (pixels > 0))[regions]
+
+
+def _largest_regions(body: np.ndarray) -> np.ndarray:
+    """(H, W) bool: the largest region, and those of at least OF_LARGEST of its pixels."""
+    regions = _regions(body)
+    pixels = np.bincount(regions[body], minlength=1)
+    return body & (pixels >= OF_LARGEST * pixels.max())[regions]
+
+
+def on_far_half(points: np.ndarray) -> np.ndarray:
+    """(...) bool: which points (..., 3) [m] of the world are on the kits' half of the table."""
+    return points[..., 1] > 0
+
+
+def world_points(view: View) -> np.ndarray:
+    """(H, W, 3) [m] world: the points of all pixels; the camera's position where there is no return."""
+    camera, pose = view.camera, view.world_from_camera
+    rotation, depth = pose.rotation_matrix(), view.depth.astype(float)
+    right = (np.arange(camera.width) - camera.cx) / camera.fx
+    down = (np.arange(camera.height) - camera.cy)[:, None] / camera.fy
+    rows = zip(pose.xyz, rotation, strict=True)
+    return np.stack([x + depth * (a * right + b * down + c) for x, (a, b, c) in rows], axis=-1)
+
+
+def without_shadows(view: View) -> View:
+    """The view with gaps of up to SHADOW on either side closed along rows by the farther of the two depths."""
+    depth, known = view.depth, view.depth > 0
+    columns, rows = np.arange(depth.shape[1]), np.arange(depth.shape[0])[:, None]
+    left = np.maximum.accumulate(np.where(known, columns, -SHADOW - 1), axis=1)
+    right = np.minimum.accumulate(np.where(known, columns, len(columns) + SHADOW)[:, ::-1], axis=1)[:, ::-1]
+    near = [np.where(np.abs(columns - side) <= SHADOW, side, -1) for side in (left, right)]
+    farther = np.maximum(*(np.where(side >= 0, depth[rows, side], 0) for side in near))
+    return View(view.camera, view.world_from_camera, np.where(known, depth, farther))
 
 
 def segmented(

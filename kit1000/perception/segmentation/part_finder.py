@@ -1,4 +1,4 @@
-"""Parts by the network: the pixels of one part vote for one place."""
+"""Parts by a network: each pixel votes for the middle of its part, and pixels whose votes gather belong together."""
 
 from __future__ import annotations
 
@@ -6,19 +6,73 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from scipy.ndimage import gaussian_filter, maximum_filter
 
-from kit1000.perception.networks.loading import ready
-from kit1000.perception.networks.unet import folded
-from kit1000.perception.restoration.disparity import Box, Evidence, cropped_evidence, padded_box, shifted_boxes
-from kit1000.perception.segmentation.bodies import Bodies, on_far_half
-from kit1000.perception.segmentation.evidence import evidence_of
+from kit1000.perception.networks.inference import on_cpu, on_grid
+from kit1000.perception.restoration.disparity import Box, Inputs, cropped_inputs, median_of_shifts, padded_box
+from kit1000.perception.segmentation.instances import Bodies, on_far_half
 from kit1000.perception.segmentation.network import SIDE, CentresConfig, CentresNet
-from kit1000.perception.segmentation.votes import gathered
+from kit1000.values import View
 
+VOTE_SPREAD = 3.0  # [px] standard deviation of the votes of a part, about
+MIDDLES_APART = 8  # [px] between the middles of two parts, at least
+LEAST_VOTES = 40  # pixels that gather there
 BORDER = 16  # [px] about the parts
 OFFSET_STEP = 1 / 8  # [px] to which votes are rounded: sums of float32 depend on the processor
 LOGIT_STEP = 1 / 64  # the same of the logits
 ON_BODIES = 0.5  # least share of a part's pixels that lie on bodies: elsewhere noise looks like one
+
+
+def inputs_of(bodies: Bodies) -> Inputs:
+    """What the network reads of the bodies of an image: see `CentresNet.forward`; (H, W) arrays and `up` (3,)."""
+    return inputs_between(bodies.measured, bodies.view)
+
+
+def inputs_between(measured: View, restored: View) -> Inputs:
+    """The same of a measured image and the restored one; (H, W) arrays and `up` (3,)."""
+    return {
+        "measured": _heights(measured),
+        "restored": _heights(restored),
+        "returned": measured.depth > 0,
+        "up": measured.world_from_camera.inverse().rotate((0.0, 0.0, 1.0)).astype(np.float32),
+    }
+
+
+def _heights(view: View) -> np.ndarray:
+    """(H, W) float32 [px] heights above the table, as long as they would be in the image; 0 without surface."""
+    camera, pose = view.camera, view.world_from_camera
+    x, y, z = pose.rotation_matrix()[2]
+    across = (np.arange(camera.width) - camera.cx) / camera.fx * x
+    down = (np.arange(camera.height) - camera.cy) / camera.fy * y
+    seen = view.depth > 0
+    height = pose.xyz[2] / np.where(seen, view.depth, 1.0) + across + down[:, None] + z
+    return np.where(seen, camera.fx * height, 0.0).astype(np.float32)
+
+
+def gathered(places: np.ndarray, part: np.ndarray) -> np.ndarray:
+    """(H, W) int: from 1 on the pixels of each part, 0 elsewhere.
+
+    Args:
+        places: (2, H, W) [px] row and column of the middle of the part that a pixel shows.
+        part: (H, W) bool: pixels that show one.
+    """
+    labels = np.zeros(part.shape, int)
+    votes = places[:, part]
+    peaks = _peaks(votes, part.shape)
+    if len(peaks):
+        away = np.square(votes[:, :, None] - peaks.T[:, None]).sum(0)
+        labels[part] = 1 + away.argmin(1)
+    return labels
+
+
+def _peaks(votes: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """(n, 2) [px] where votes (2, k) gather in an image of a shape."""
+    row, column = np.rint(np.clip(votes, 0, np.array(shape)[:, None] - 1)).astype(int)
+    counts = np.bincount(row * shape[1] + column, minlength=int(np.prod(shape))).reshape(shape)
+    density = gaussian_filter(counts.astype(float), VOTE_SPREAD)
+    near = 2 * np.pi * VOTE_SPREAD**2 * density  # votes there, if they spread like that
+    highest = (density == maximum_filter(density, 2 * MIDDLES_APART + 1)) & (near >= LEAST_VOTES)
+    return np.argwhere(highest).astype(float)
 
 
 class PartFinder:
@@ -26,8 +80,7 @@ class PartFinder:
 
     def __init__(self, weights: Path | CentresNet) -> None:
         """weights: stem of the files, or the network itself."""
-        net = folded(ready(weights, CentresConfig, CentresNet)).to("cpu")  # on which the last digits are known
-        self.net = net.to(memory_format=torch.channels_last)
+        self.net = on_cpu(weights, CentresConfig, CentresNet)
 
     def __call__(self, bodies: Bodies) -> np.ndarray:
         """(H, W) int: from 1 on the pixels of each part of an image, 0 elsewhere."""
@@ -48,17 +101,17 @@ class PartFinder:
     def votes(self, bodies: Bodies, box: Box) -> tuple[np.ndarray, np.ndarray]:
         """(2, h, w) [px] across and down; (h, w) bool: pixels that show a part.
 
-        Each is the median by images that begin at several pixels, as of `perception.restoration.restorer.Restorer`.
+        Each is the median by images that begin at several pixels, see `median_of_shifts`.
         """
-        evidence, boxes = evidence_of(bodies), shifted_boxes(box, SIDE, bodies.view.camera)
-        votes = np.median([self._votes(evidence, wide)[(slice(None), *inside)] for wide, inside in boxes], axis=0)
+        read, camera = inputs_of(bodies), bodies.view.camera
+        votes = median_of_shifts(lambda wide: self._votes(read, wide), box, SIDE, camera)
         return votes[:2], votes[2] > 0
 
-    def _votes(self, evidence: Evidence, box: Box) -> np.ndarray:
+    def _votes(self, evidence: Inputs, box: Box) -> np.ndarray:
         """(3, h, w) offsets [px] across and down, and logits of showing a part; rounded."""
-        cut = cropped_evidence(evidence, box)
+        cut = cropped_inputs(evidence, box)
         batch = [torch.from_numpy(cut[name])[None] for name in ("measured", "restored", "returned", "up")]
         with torch.inference_mode():
             votes = self.net(*batch)
-        offset = np.rint(votes.offset[0].numpy().astype(float) / OFFSET_STEP) * OFFSET_STEP
+        offset = on_grid(votes.offset[0].numpy().astype(float), OFFSET_STEP)
         return np.concatenate([offset, np.rint(votes.part.numpy() / LOGIT_STEP)])

@@ -12,7 +12,7 @@ from baselines.catalog import all_methods, all_networks, weight_paths
 from baselines.snapnet.config import PositionConfig, RotationConfig
 from baselines.snapnet.examples import PositionExamples, QuerySampler, RotationExamples
 from kit1000.dataset.reader import Dataset
-from kit1000.perception.completion.kits.completed import ReliefCompleter
+from kit1000.perception.completion.kits import ReliefCompleter
 from kit1000.rng import stream
 from kit1000.weights import WEIGHTS
 

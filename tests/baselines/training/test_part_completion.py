@@ -12,8 +12,8 @@ from baselines.training.tasks.part_completion.sampled_parts import DrawnParts
 from baselines.training.tasks.part_completion.task import CompletionTask, completion_task
 from baselines.training.tasks.part_completion.views import DrawnViews
 from kit1000.dataset.reader import Dataset
+from kit1000.perception.completion.part_network import CODE
 from kit1000.perception.completion.parts import frame
-from kit1000.perception.completion.parts.frame import CODE
 from kit1000.rng import stream
 
 SEED = 7

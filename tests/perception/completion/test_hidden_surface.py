@@ -10,11 +10,10 @@ from scipy.spatial import KDTree
 
 from kit1000.dataset.reader import Dataset
 from kit1000.mesh import Mesh, surface_points
-from kit1000.perception.completion.kits.hidden_surface import hidden_surface, hidden_surfaces
+from kit1000.perception.completion.kits import hidden_surface, hidden_surfaces
 from kit1000.perception.image_kinds import IDEAL
-from kit1000.perception.observed.kits import ObservedKits
+from kit1000.perception.observed.kits import CELL, DEEPEST, CompletedRelief, ObservedKits, SeenRelief, seen_relief
 from kit1000.perception.observed.plates import Plane
-from kit1000.perception.observed.relief import CELL, DEEPEST, CompletedRelief, SeenRelief, seen_relief
 from kit1000.pose import Pose
 from kit1000.registration.predictor import Registration
 from kit1000.rng import stream

@@ -6,8 +6,8 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from kit1000.perception.completion.parts.frame import CODE
-from kit1000.perception.completion.parts.network import (
+from kit1000.perception.completion.part_network import (
+    CODE,
     JACCARD,
     CompletionConfig,
     CompletionNet,

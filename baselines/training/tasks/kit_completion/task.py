@@ -14,14 +14,14 @@ from torch import Tensor
 from baselines.training.tasks.kit_completion.views import Example, KitViews, example_of, mirrored, plane_of
 from baselines.training.validation import drawn_targets
 from kit1000.dataset.reader import Dataset
-from kit1000.perception.completion.kits.network import (
+from kit1000.perception.completion.kit_network import (
     KIT_COMPLETION,
     KitCompletionConfig,
     KitCompletionNet,
     kit_loss,
     likely_depths,
 )
-from kit1000.perception.observed.relief import seen_relief
+from kit1000.perception.observed.kits import seen_relief
 from kit1000.perception.restoration import calibrated_image
 from kit1000.perception.restoration.restorer import Restorer
 from kit1000.perception.sensor_facts import simulated_sensor

@@ -14,9 +14,8 @@ from baselines.training.tasks.part_completion.views import OVERLAP
 from kit1000.dataset.geometry import Geometry
 from kit1000.errors import Redraw
 from kit1000.numerics.linear_algebra import length, matmul
-from kit1000.perception.completion.parts.frame import pixel_box
-from kit1000.perception.observed.plates import Plane
-from kit1000.perception.observed.relief import (
+from kit1000.perception.completion.part_network import pixel_box
+from kit1000.perception.observed.kits import (
     CELL,
     CELLS,
     SeenRelief,
@@ -25,6 +24,7 @@ from kit1000.perception.observed.relief import (
     seen_relief,
     true_depths,
 )
+from kit1000.perception.observed.plates import Plane
 from kit1000.perception.restoration.restorer import Restorer
 from kit1000.perception.sensor_facts import simulated_sensor
 from kit1000.pose import Pose

@@ -16,8 +16,15 @@ from baselines.training.validation import drawn_targets
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.files import user_cache
-from kit1000.perception.completion.parts.frame import CODE, framed, scale_of
-from kit1000.perception.completion.parts.network import COMPLETION, CompletionConfig, CompletionNet, completion_loss
+from kit1000.perception.completion.part_network import (
+    CODE,
+    COMPLETION,
+    CompletionConfig,
+    CompletionNet,
+    completion_loss,
+    framed,
+    scale_of,
+)
 from kit1000.perception.restoration import calibrated_image
 from kit1000.perception.sensor_facts import simulated_sensor
 from kit1000.values import FIRST_PART_LABEL

@@ -13,8 +13,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from kit1000.perception.placement.channels import CELL, CELLS, Channel
-from kit1000.perception.placement.network import LEVER
-from kit1000.perception.placement.placer import MIRRORED
+from kit1000.perception.placement.network import LEVER, MIRRORED
 
 SHIFT = 0.7  # [mm] standard deviation along each axis, by which a fit is moved
 YAW = 0.03  # [rad] the same of its rotation

@@ -12,7 +12,7 @@ import numpy as np
 from baselines.training.tasks.restoration.views import Example, ViewCrops, box_about
 from baselines.training.validation import drawn_targets
 from kit1000.dataset.reader import Dataset
-from kit1000.perception.restoration.disparity import cropped_evidence
+from kit1000.perception.restoration.disparity import cropped_inputs
 from kit1000.values import View
 
 VALIDATION_SCENES = 30  # spread evenly over the validation split
@@ -74,4 +74,4 @@ class CropTask(ABC, Generic[Views]):
         """Make the example of a scene."""
         view, place, whole = self.recorded(scene_id)
         column, row = np.rint(view.camera.project(view.world_from_camera.inverse().apply(place))).astype(int).tolist()
-        self.kept[Key(scene_id, row, column)] = cropped_evidence(whole, box_about(row, column))
+        self.kept[Key(scene_id, row, column)] = cropped_inputs(whole, box_about(row, column))

@@ -12,7 +12,13 @@ from scipy.ndimage import maximum_filter
 
 from baselines.training.tasks.noisy_images import noisy_view
 from kit1000.dataset.reader import Dataset
-from kit1000.perception.restoration.disparity import Box, above_table, cropped_evidence, evidence, unlabelled_evidence
+from kit1000.perception.restoration.disparity import (
+    Box,
+    above_table,
+    cropped_inputs,
+    labelled_inputs,
+    unlabelled_inputs,
+)
 from kit1000.perception.restoration.rules import calibrated_image, closed_gaps
 from kit1000.perception.sensor_facts import simulated_sensor
 from kit1000.rng import stream
@@ -76,7 +82,7 @@ class SceneViews(ViewCrops):
         image, depth = fresh_image(self.dataset, self.scenes, rng)
         whole = example_of(image, depth, self.labelled)
         places = [body_pixel(image.labels, KITS_SHARE[self.labelled], rng) for _ in range(CROPS)]
-        return [cropped_evidence(whole, box_about(*place)) for place in places]
+        return [cropped_inputs(whole, box_about(*place)) for place in places]
 
 
 def fresh_image(
@@ -114,7 +120,7 @@ def example_of(image: LabelledDepth, depth: np.ndarray, labelled: bool = True) -
     if not labelled:
         counts = maximum_filter(counts, 2 * AROUND + 1)
     view = image.view
-    read = evidence(image, closed_gaps(image).view, FACTS) if labelled else unlabelled_evidence(view, FACTS)
+    read = labelled_inputs(image, closed_gaps(image).view, FACTS) if labelled else unlabelled_inputs(view, FACTS)
     return read | {"truth": above_table(depth, view, FACTS), "counts": counts}
 
 

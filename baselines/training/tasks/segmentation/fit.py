@@ -9,9 +9,8 @@ import numpy as np
 
 from kit1000.dataset.reader import Dataset
 from kit1000.numerics.linear_algebra import matmul
-from kit1000.perception.segmentation.bodies import find_bodies
-from kit1000.perception.segmentation.instances import pieces_of
-from kit1000.perception.segmentation.merging import Pieces, best_pairs
+from kit1000.perception.segmentation.instances import find_bodies, pieces_of
+from kit1000.perception.segmentation.pieces import Pieces, best_pairs
 from kit1000.perception.sensor_facts import simulated_sensor
 from kit1000.values import FIRST_PART_LABEL
 

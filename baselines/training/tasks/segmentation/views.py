@@ -15,10 +15,10 @@ from baselines.training.tasks.restoration.views import (
     box_about,
     fresh_image,
 )
-from kit1000.perception.restoration.disparity import cropped_evidence
+from kit1000.perception.restoration.disparity import cropped_inputs
 from kit1000.perception.restoration.restorer import Restorer
-from kit1000.perception.segmentation.bodies import find_bodies
-from kit1000.perception.segmentation.evidence import evidence_between
+from kit1000.perception.segmentation.instances import find_bodies
+from kit1000.perception.segmentation.part_finder import inputs_between
 from kit1000.values import FIRST_PART_LABEL, LabelledDepth, View
 
 KITS_SHARE = 0.05  # of the crops: about a pixel of the kits
@@ -36,11 +36,11 @@ class PartViews(ViewCrops):
         """About pixels of parts, and some of the kits."""
         image, _ = fresh_image(self.dataset, self.scenes, rng)
         whole = _example(image.labels, image.view, self.restorer.without_masks(image.view, FACTS))
-        return [cropped_evidence(whole, box_about(*body_pixel(image.labels, KITS_SHARE, rng))) for _ in range(CROPS)]
+        return [cropped_inputs(whole, box_about(*body_pixel(image.labels, KITS_SHARE, rng))) for _ in range(CROPS)]
 
 
 def recorded_example(image: LabelledDepth, restorer: Restorer) -> Example:
-    """Evidence and truth of a recorded image, calibrated without masks."""
+    """Inputs and truth of a recorded image, calibrated without masks."""
     bodies = find_bodies(image.view, FACTS, restorer)
     return _example(image.labels, bodies.measured, bodies.view)
 
@@ -54,4 +54,4 @@ def _example(labels: np.ndarray, measured: View, restored: View) -> Example:
         here = np.broadcast_to(places, labels.shape)
         means = np.bincount(labels.ravel(), here.ravel().astype(float)) / sizes
         truth[name] = np.where(part, means[labels] - here, 0.0).astype(np.float32)
-    return evidence_between(measured, restored) | truth
+    return inputs_between(measured, restored) | truth

@@ -10,10 +10,18 @@ import numpy as np
 import torch
 
 from kit1000.numerics.compiled import compiled
-from kit1000.perception.completion.parts.frame import CODE, FramedPart, framed, packed, scale_of, unpacked
-from kit1000.perception.completion.parts.network import CompletionConfig, CompletionNet
-from kit1000.perception.networks.loading import ready
-from kit1000.perception.observed.filled_columns import ObservedColumns
+from kit1000.perception.completion.part_network import (
+    CODE,
+    CompletionConfig,
+    CompletionNet,
+    FramedPart,
+    framed,
+    packed,
+    scale_of,
+    unpacked,
+)
+from kit1000.perception.networks.inference import on_cpu, on_grid
+from kit1000.perception.observed.columns import ObservedColumns
 from kit1000.perception.observed.parts import ObservedPart, PartBounds
 from kit1000.values import LabelledDepth
 from kit1000.voxels import Grid, Volume
@@ -53,8 +61,7 @@ class PartCompleter:
 
     def __init__(self, weights: Path | CompletionNet) -> None:
         """weights: stem of the files, or the network itself."""
-        net = ready(weights, CompletionConfig, CompletionNet).to("cpu")  # on which the last digits are known
-        self.net = net.to(memory_format=torch.channels_last)
+        self.net = on_cpu(weights, CompletionConfig, CompletionNet, fold=False)
 
     def __call__(self, part: FramedPart) -> FillLogits:
         """The mean of the logits of the evidence and of its mirror image; cells that are seen free are not filled."""
@@ -63,7 +70,7 @@ class PartCompleter:
         with torch.inference_mode():
             logits = self.net(torch.from_numpy(pair), torch.from_numpy(camera)).float().numpy()
         mean = (unpacked(logits[0]) + unpacked(logits[1])[:, ::-1]) / (2 * TEMPERATURE)
-        mean = (np.rint(mean / LOGIT_STEP) * LOGIT_STEP).astype(np.float32)
+        mean = on_grid(mean, LOGIT_STEP).astype(np.float32)
         return FillLogits(part.grid, np.where(part.codes == CODE, np.float32(SEEN_FREE), mean))
 
 

@@ -1,4 +1,4 @@
-"""The network that completes kits: from the seen relief of a plate to how likely each layer of a hidden cell is free.
+"""The network that completes kits: from the seen heights of a plate to how likely each layer of a hidden cell is free.
 
 B batch; images are (B, x, y) in cells, features (B, C, x / 2, y / 2), channels last in memory.
 """
@@ -12,7 +12,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from kit1000.perception.networks.unet import UNet
-from kit1000.perception.observed.relief import DEEPEST
+from kit1000.perception.observed.kits import DEEPEST
 
 PACK = 2  # cells along x and along y that are channels of one pixel of the network
 MAPS, EXTRA = 3, 2  # channels: of a cell; of the camera

@@ -1,19 +1,23 @@
-"""The plane of the table's pixels in the camera frame, and how well they determine it."""
+"""The table in a view: which pixels look at its top, the plane z = 0 of the world, and the plane that they show."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import binary_dilation
 
+from kit1000.camera import Camera
 from kit1000.numerics.elimination import solve_positive
 from kit1000.numerics.linear_algebra import eigenvectors, matmul
-from kit1000.perception.calibration.table_top import rays
 from kit1000.perception.sensor_facts import SensorFacts
 from kit1000.pose import Pose
+from kit1000.sim.layout import TABLE_SIZE
 from kit1000.values import View
 
+HALF_SIZES = np.array(TABLE_SIZE[:2]) / 2
+"""(2,) [m] from the origin to the table's edges, along x and y."""
+NEAR = 25e-3  # [m] from the plane, of pixels of a table of unknown size
 STEP = 6  # [px] between pixels that enter the plane
 CORRELATED = 3.0  # of which so many count as one: noise of two windows of 7 px in succession, one value in 108 px
 BENT = 600.0  # of a stereo camera, which bends planes: half of the variance varies over 85 px, one value in 45,000 px
@@ -25,11 +29,85 @@ PLANE_ROUNDS = 5  # of reweighting
 RECORDED_WEIGHT = 0.3  # of the recorded plane, in pixels: noise of a pixel over spread of the plane, squared, at 0.8 m
 LEAST_INFORMATION = 1e-9  # [pixels] along an axis
 TUKEY = 4.685  # standard deviations at which a weight becomes 0: 95 % efficient for normal residuals
+LEAST_SPREAD = 1e-9  # [1/m] added to the spread of inverse depths
 
 
 def tukey_weights(residuals: np.ndarray, limit: float | np.ndarray) -> np.ndarray:
     """(n,) biweights (Beaton and Tukey 1974) of residuals (n,): 1 for none, 0 from a limit on, a number or (n,)."""
     return np.square(np.clip(1 - np.square(residuals / limit), 0, None))
+
+
+def robust_plane(
+    rays: np.ndarray, inverse: np.ndarray, rounds: int, prior: np.ndarray | None = None, weight: float = 0.0
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """The plane through pixels, in inverse depth, in which the noise of all pixels is equal.
+
+    Args:
+        rays: (n, 3) of depth 1.
+        inverse: (n,) [1/m] inverse depths.
+        rounds: of reweighting.
+        prior: (3,) coefficients of a plane that is known before; None: none is.
+        weight: of the prior, in pixels.
+
+    Returns:
+        (3,) coefficients [1/m], whose product with the ray of a pixel is its inverse depth; (n,) last weights; and the
+        spread of the residuals [1/m].
+    """
+    known = np.zeros(3) if prior is None else prior
+    weights, coefficients, spread = np.ones(len(inverse)), known, 0.0
+    for _ in range(rounds):
+        weighted = (rays * weights[:, None]).T
+        normal = matmul(weighted, rays) + weight * np.eye(3)
+        coefficients = known + solve_positive(normal, matmul(weighted, inverse - matmul(rays, known)))
+        residuals = inverse - matmul(rays, coefficients)
+        spread = 1.4826 * np.median(np.abs(residuals)) + LEAST_SPREAD
+        weights = tukey_weights(residuals, TUKEY * spread)
+    return coefficients, weights, float(spread)
+
+
+def rays(camera: Camera, uv: np.ndarray) -> np.ndarray:
+    """(n, 3) directions of pixels (n, 2), of depth 1."""
+    return camera.unproject_pixels(uv, np.ones(len(uv)))
+
+
+def ground(pose: Pose, directions: np.ndarray) -> np.ndarray:
+    """(n, 3) [m] world: where rays (n, 3) of the camera meet the plane z = 0; NaN where they do not."""
+    directions = pose.rotate(directions)
+    down = np.where(directions[:, 2] < 0, -directions[:, 2], np.nan)
+    return pose.xyz + directions * (pose.xyz[2] / down)[:, None]
+
+
+def flattened(view: View, labels: np.ndarray, simulated: bool = True) -> View:
+    """The view with the depths of the table's plane at all pixels of the table, with a return or without.
+
+    simulated: whether the table is that of generated scenes; of another one, only pixels near its plane are its own.
+    """
+    depth, on = _table_top(view) if simulated else _near_plane(view)
+    return replace(view, depth=np.where((labels == 0) & on, depth.astype(view.depth.dtype), view.depth))
+
+
+def _near_plane(view: View) -> tuple[np.ndarray, np.ndarray]:
+    """As of `_table_top`, for a table of unknown size: pixels without a return, or with one near the plane."""
+    depth = _plane_depth(view)[0]
+    along = np.abs(view.depth - depth) * view.world_from_camera.xyz[2] / np.maximum(depth, 1e-3)  # [m] of height
+    return depth, (depth > 0) & ((view.depth == 0) | (along < NEAR))
+
+
+def _table_top(view: View) -> tuple[np.ndarray, np.ndarray]:
+    """(H, W) [m] depths of the plane z = 0, 0 where it is not in front; (H, W) bool: pixels that look at the table."""
+    depth, (x, y, z) = _plane_depth(view)
+    axes = zip(view.world_from_camera.xyz, (x, y), HALF_SIZES, strict=False)
+    within = [np.abs(start + direction * depth) <= half for start, direction, half in axes]
+    return depth, (z < 0) & within[0] & within[1]
+
+
+def _plane_depth(view: View) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
+    """(H, W) [m] depths of the plane z = 0, 0 where it is not in front; three (H, W): rays of depth 1 in the world."""
+    camera, pose = view.camera, view.world_from_camera
+    across = (np.arange(camera.width) - camera.cx) / camera.fx
+    along = (np.arange(camera.height) - camera.cy) / camera.fy
+    x, y, z = (axis[0] * across + (axis[1] * along + axis[2])[:, None] for axis in pose.rotation_matrix())
+    return np.divide(pose.xyz[2], -z, out=np.zeros_like(z), where=z < 0), (x, y, z)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,14 +165,7 @@ def table_plane(
 
 def _fitted(directions: np.ndarray, inverse: np.ndarray, recorded: np.ndarray, correlated: float) -> Plane:
     """The plane of pixels: (n, 3) rays, (n,) [1/m] inverse depths. recorded: (3,) coefficients, a weak prior."""
-    weights, coefficients, spread = np.ones(len(inverse)), recorded, 0.0
-    for _ in range(PLANE_ROUNDS):
-        weighted = (directions * weights[:, None]).T
-        normal = matmul(weighted, directions) + RECORDED_WEIGHT * np.eye(3)
-        coefficients = recorded + solve_positive(normal, matmul(weighted, inverse - matmul(directions, recorded)))
-        residuals = inverse - matmul(directions, coefficients)
-        spread = 1.4826 * np.median(np.abs(residuals)) + 1e-9
-        weights = tukey_weights(residuals, TUKEY * spread)
+    coefficients, weights, spread = robust_plane(directions, inverse, PLANE_ROUNDS, recorded, RECORDED_WEIGHT)
     information = matmul((directions * weights[:, None]).T, directions) / correlated
     axes = eigenvectors(information)
     pixels = np.diag(matmul(axes.T, matmul(information, axes)))

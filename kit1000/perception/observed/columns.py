@@ -1,24 +1,56 @@
-"""Solids that fill the columns below observed points, except where the image shows free space."""
+"""Solids that fill the columns below observed points, except for what images show to be free."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import find_objects, label
 
 from kit1000.numerics.compiled import compiled
-from kit1000.perception.observed.fusion import MaskedView, observed_distance
 from kit1000.perception.observed.pixels import transformed
 from kit1000.pose import Pose
-from kit1000.voxels import Grid, Volume
+from kit1000.values import LabelledDepth, View
+from kit1000.voxels import Grid, Volume, tsdf
 from kit1000.voxels.grid import DEFAULT_TRUNCATION
 
 CELLS = 2 * int(DEFAULT_TRUNCATION)  # half a voxel wide, in a truncation
 STEP = (2, 2, 1)  # cells from voxel to voxel
 SKIN = 0.5e-3  # [m] behind an observed surface that is solid, whatever a network says
 SURE = 1.5e-3  # [m] behind an observed surface that is surely solid: no wall of a part is thinner than 2 mm
+
+
+class MaskedView(NamedTuple):
+    """A depth image and the pixels of an object."""
+
+    view: View
+    mask: np.ndarray
+    """(H, W) bool"""
+
+    @classmethod
+    def of(cls, image: LabelledDepth, label: int) -> MaskedView:
+        """The pixels of a label."""
+        return cls(image.view, image.labels == label)
+
+
+def observed_distance(grid: Grid, images: Sequence[MaskedView]) -> Volume:
+    """The projective truncated signed distance of the voxels of a grid, NaN where no image knows it.
+
+    Free is what any image shows to be free: the distance is then the least of those that do. Behind all surfaces the
+    nearest one counts. A mean, as of `kit1000.voxels.fuse`, would fill space that is seen from the side.
+    """
+    first, *others = (tsdf(grid, image.view, image.mask, threads=1) for image in images)
+    if not others:
+        return first
+    values = first.values.copy()
+    for other in others:
+        both = np.where(
+            (values > 0) & (other.values > 0), np.minimum(values, other.values), np.fmax(values, other.values)
+        )
+        values = np.where(np.isnan(values), other.values, np.where(np.isnan(other.values), values, both))
+    return Volume.adopt(grid, values)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,27 +1,66 @@
-"""What an image hides of the kits, as the network completes it: a surface to look at."""
+"""Kits completed by the network: the height maps of their plates, and the hidden surface as a mesh to look at."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import torch
 from scipy.ndimage import binary_erosion, label
 from scipy.spatial import Delaunay, QhullError
 from trimesh.util import append_faces
 
 from kit1000.mesh import Mesh
-from kit1000.perception.observed.kits import Completer, ObservedKits
-from kit1000.perception.observed.relief import CELL, CELLS, DEEPEST, CompletedRelief, SeenRelief
+from kit1000.perception.completion.kit_network import KitCompletionConfig, KitCompletionNet, likely_depths
+from kit1000.perception.networks.inference import on_cpu, on_grid, with_mirror
+from kit1000.perception.observed.columns import MaskedView, ObservedColumns
+from kit1000.perception.observed.kits import CELL, CELLS, DEEPEST, CompletedRelief, Completer, ObservedKits, SeenRelief
+from kit1000.perception.observed.pixels import subpixel_points
 from kit1000.perception.restoration import calibrated_image
 from kit1000.perception.sensor_facts import SensorFacts
-from kit1000.values import ASSEMBLY_LABEL, Query
+from kit1000.values import ASSEMBLY_LABEL, LabelledDepth, Query
 
 if TYPE_CHECKING:
     from kit1000.perception.restoration.restorer import Restorer
 
+DEPTH_STEP = 0.01  # [mm] to which depths are rounded: sums of float32 depend on the processor
 FACE = 1.0  # [mm] from a plate's face, within which a seen cell is of it
 LEAST_CELLS = 10  # of a hidden region: smaller ones are cells that a rim crosses
 BORDER = 2  # cells of the border of the face, in which its edge lies
+
+
+class ReliefCompleter:
+    """The network with its weights."""
+
+    def __init__(self, weights: Path | KitCompletionNet) -> None:
+        """weights: stem of the files, or the network itself."""
+        self.net = on_cpu(weights, KitCompletionConfig, KitCompletionNet, fold=False)
+
+    def __call__(self, relief: SeenRelief) -> CompletedRelief:
+        """The relief with likely depths of its hidden cells, never above what is seen free.
+
+        They follow from the mean of the logits of the relief and of its mirror image.
+        """
+        least, seen = with_mirror(relief.least), with_mirror(relief.seen)
+        camera = torch.from_numpy(np.stack([relief.camera, relief.camera]))
+        with torch.inference_mode():
+            logits = self.net(least, seen, camera)
+            likely = likely_depths((logits[:1] + logits[1:].flip(3)) / 2)[0].numpy()
+        rounded = on_grid(likely, DEPTH_STEP).astype(np.float32)
+        hidden = np.maximum(rounded, relief.least)
+        return CompletedRelief(relief, np.where(relief.seen, relief.least, hidden))
+
+
+def filled_by_columns(image: LabelledDepth, shown: SeenRelief) -> CompletedRelief:
+    """The relief as `ObservedKits` fills it without the network: DEEPEST in a cell without an observed point."""
+    mask = image.labels == ASSEMBLY_LABEL
+    half, deep = CELL * CELLS / 2, 1e-3 * DEEPEST
+    images, points = [MaskedView(image.view, mask)], subpixel_points(image.view, mask)
+    solid = ObservedColumns.of(images, points, shown.world_from_plate, (half, deep), -deep, CELL).filled_cells()
+    layers = np.where(solid.any(-1), solid.shape[-1] - solid[..., ::-1].argmax(-1), 0)  # up to the surface
+    depth = np.clip(DEEPEST + 0.25 - layers, 0, DEEPEST)  # the middle of the lowest lies 0.25 mm above DEEPEST
+    return CompletedRelief(shown, depth.reshape(CELLS, 2, CELLS, 2).mean((1, 3)).astype(np.float32))
 
 
 def completed_kits(query: Query, sensor: SensorFacts, completer: Completer, restorer: Restorer | None) -> Mesh:

@@ -1,1 +1,0 @@
-"""The network that completes what an image hides of the kits."""

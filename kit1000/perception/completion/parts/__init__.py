@@ -1,1 +1,0 @@
-"""The network that completes a part from one depth image."""
