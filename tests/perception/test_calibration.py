@@ -12,7 +12,7 @@ from kit1000.camera import look_at
 from kit1000.errors import ShapeError
 from kit1000.mesh import Mesh
 from kit1000.perception.calibration import OUTLINE, CameraEstimate, calibrated, camera_estimate_by, flattened
-from kit1000.perception.calibration.camera_pose import REACH, SPREADS, OutlineEdge, camera_estimate, seen_borders
+from kit1000.perception.calibration.camera_pose import BORDER_REACH, SPREADS, OutlineEdge, camera_estimate, seen_borders
 from kit1000.perception.calibration.table import BENT, PLANE_REACH, table_plane
 from kit1000.perception.sensor_facts import simulated_sensor
 from kit1000.pose import Pose
@@ -143,7 +143,7 @@ def test_dropouts_at_an_edge_do_not_move_it(corner: LabelledDepth) -> None:
     assert edge.columns
     for first in rng.choice(edge.lines[:-8:8], 40, replace=False):
         place = round(float(edge.places[np.searchsorted(edge.lines, first)]))
-        depth[place - REACH : place + rng.integers(2, 9), first : first + 8] = 0
+        depth[place - BORDER_REACH : place + rng.integers(2, 9), first : first + 8] = 0
     holed = replace(corner.view, depth=depth)
     moved = calibrated(holed, corner.labels).world_from_camera.xyz - CORNER.xyz
     assert np.abs(moved).max() < 3e-4

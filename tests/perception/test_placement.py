@@ -13,8 +13,8 @@ from kit1000.perception.placement.network import (
     HOLD,
     LEVER,
     MIRRORED,
+    MOVE_STEP,
     SHARE,
-    STEP,
     PlacementConfig,
     PlacementNet,
     Placer,
@@ -115,8 +115,8 @@ def test_a_patch_and_its_mirror_image_are_asked_alike(seed: int) -> None:
             for each, is_mirrored in ((seen, False), (seen[:, :, ::-1].copy(), True))
         )
     move = Placer(net)(seen) * UNITS
-    np.testing.assert_allclose(move, SHARE * (plain + MIRRORED * mirrored) / 2, atol=2 * STEP)
-    np.testing.assert_allclose(move / STEP, np.rint(move / STEP), atol=1e-6)
+    np.testing.assert_allclose(move, SHARE * (plain + MIRRORED * mirrored) / 2, atol=2 * MOVE_STEP)
+    np.testing.assert_allclose(move / MOVE_STEP, np.rint(move / MOVE_STEP), atol=1e-6)
 
 
 def test_nothing_shown_moves_nothing() -> None:

@@ -20,7 +20,7 @@ from kit1000.perception.networks.weight_files import save_weights
 from kit1000.perception.restoration.restorer import Restorer
 from kit1000.perception.segmentation.instances import find_bodies, segmented
 from kit1000.perception.segmentation.network import CentresConfig, CentresNet, Votes
-from kit1000.perception.segmentation.part_finder import APART, PartFinder, gathered, inputs_of
+from kit1000.perception.segmentation.part_finder import MIDDLES_APART, PartFinder, gathered, inputs_of
 from kit1000.perception.segmentation.predicted_masks import MASKS_WEIGHTS
 from kit1000.perception.sensor_facts import simulated_sensor
 from kit1000.pose import Pose
@@ -52,7 +52,7 @@ def task(mini: Path) -> CentresTask:
 def test_exact_votes_tell_parts_apart(seed: int) -> None:
     """Also of parts that touch, or that others cut into pieces; the more so with noise of a few pixels."""
     rng = np.random.default_rng(seed)
-    middles = rng.permutation(np.stack(np.meshgrid(*[np.arange(20, 120, 2 * APART)] * 2), -1).reshape(-1, 2))[:6]
+    middles = rng.permutation(np.stack(np.meshgrid(*[np.arange(20, 120, 2 * MIDDLES_APART)] * 2), -1).reshape(-1, 2))[:6]
     rows, columns = np.indices((140, 140))
     away = np.square(rows[..., None] - middles[:, 0]) + np.square(columns[..., None] - middles[:, 1])
     truth = np.where(away.min(-1) < 12**2, 1 + away.argmin(-1), 0)
