@@ -52,7 +52,8 @@ def task(mini: Path) -> CentresTask:
 def test_exact_votes_tell_parts_apart(seed: int) -> None:
     """Also of parts that touch, or that others cut into pieces; the more so with noise of a few pixels."""
     rng = np.random.default_rng(seed)
-    middles = rng.permutation(np.stack(np.meshgrid(*[np.arange(20, 120, 2 * MIDDLES_APART)] * 2), -1).reshape(-1, 2))[:6]
+    places = np.stack(np.meshgrid(*[np.arange(20, 120, 2 * MIDDLES_APART)] * 2), -1).reshape(-1, 2)
+    middles = rng.permutation(places)[:6]
     rows, columns = np.indices((140, 140))
     away = np.square(rows[..., None] - middles[:, 0]) + np.square(columns[..., None] - middles[:, 1])
     truth = np.where(away.min(-1) < 12**2, 1 + away.argmin(-1), 0)
