@@ -37,13 +37,13 @@ from kit1000.sim.render import render
 from kit1000.sim.sensors import sense
 from kit1000.values import FIRST_PART_LABEL, LabelledDepth, Query, Truth, View
 
-SURE = 0.8  # confidence from which on a fit counts as sure
+CONFIDENT = 0.8  # least confidence of a prediction that the table counts as confident
 LEAST_PIXELS = 200  # of a part in an image that is rendered again
 AZIMUTHS = tuple(np.radians((0.0, 40.0, 90.0, 180.0)).tolist())  # [rad] of the places, about the first
 
 
 class Condition(NamedTuple):
-    """What the camera is and does."""
+    """A condition under which images are taken."""
 
     sensor: str = "d415"
     frames: int = 1
@@ -75,7 +75,7 @@ CONDITIONS = (
 
 
 class Answer(NamedTuple):
-    """What a method did with a query, and the truth about it."""
+    """The prediction of a method for a query, and its ground truth."""
 
     motion: Pose
     confidence: float
@@ -108,7 +108,7 @@ COLUMNS = (
     Column("seated", "seated, %", 1, True),
     Column("position", "position, median mm", 2),
     Column("rotation", "rotation, median °", 2),
-    Column("sure", f"confidence {SURE} or more"),
+    Column("sure", f"confidence {CONFIDENT} or more"),
     Column("sure_seated", "seated of these"),
 )
 
@@ -152,7 +152,7 @@ def _add(table: Table, dataset: Dataset, condition: Condition, answers: Sequence
     motions, truths = Pose.stack([each.motion for each in answers]), [each.truth for each in answers]
     errors = pose_errors(motions, Targets.of(truths, lambda part: dataset.geometry.part(part).mesh.vertices))
     seated = seatings(motions, truths, dataset.geometry).seated
-    sure = np.array([each.confidence for each in answers]) >= SURE
+    sure = np.array([each.confidence for each in answers]) >= CONFIDENT
     table.add(
         condition=condition.name,
         n=len(answers),
@@ -171,7 +171,7 @@ def _answer(options: CameraConditions, condition: Condition, job: tuple[str, str
     scene = dataset.split(options.split, truth=True).scene(scene_id)
     query, truth = next(query for query in scene.queries if query.id == query_id), scene.truth_of(query_id)
     seen = [ideal_from(scene, query, truth, condition.distance, azimuth) for azimuth in AZIMUTHS[: condition.places]]
-    queries = [asked_again(query, ideal, condition, place) for place, ideal in enumerate(seen) if ideal is not None]
+    queries = [measured_query(query, ideal, condition, place) for place, ideal in enumerate(seen) if ideal is not None]
     if not queries:
         return None
     if condition.places > 1 and not hasattr(predictor, "together"):
@@ -183,13 +183,13 @@ def _answer(options: CameraConditions, condition: Condition, job: tuple[str, str
 def ideal_from(
     scene: RecordedScene, query: Query, truth: Truth, distance: float | None, azimuth: float = 0.0
 ) -> LabelledDepth | None:
-    """The ideal image of a scene from another place; None where the query's part or goal is out of view.
+    """The ideal image of a scene from another place; None if the query's part or goal is out of view.
 
     Args:
         scene: with its truth.
         query: about a part.
         truth: of it.
-        distance: [m] from the middle between part and goal; None: as recorded, and looking where the camera did.
+        distance: [m] from the middle between part and goal; None: the recorded distance and direction.
         azimuth: [rad] about the vertical through that middle.
     """
     image = scene.labelled_depth("ideal")
@@ -208,7 +208,7 @@ def orbited(pose: Pose, middle: np.ndarray, azimuth: float) -> Pose:
 
 
 def rendered_from(scene: RecordedScene, query: Query, truth: Truth, pose: Pose) -> LabelledDepth | None:
-    """The ideal image of a scene by a camera at a pose; None where the query's part or goal is out of view."""
+    """The ideal image of a scene by a camera at a pose; None if the query's part or goal is out of view."""
     bodies = scene.bodies()
     mesh, world_from_part = bodies[FIRST_PART_LABEL + query.part]
     points = world_from_part.apply(mesh.vertices)
@@ -221,8 +221,8 @@ def rendered_from(scene: RecordedScene, query: Query, truth: Truth, pose: Pose) 
     return LabelledDepth(View(CAMERA, pose, image.depth), labels)
 
 
-def asked_again(query: Query, ideal: LabelledDepth, condition: Condition, place: int = 0) -> Query:
-    """A query about the image that a sensor measures of an ideal one, with the noise of a place; always the same."""
+def measured_query(query: Query, ideal: LabelledDepth, condition: Condition, place: int = 0) -> Query:
+    """The query with a measured image of an ideal one; its noise depends on scene and place alone."""
     view = ideal.view
     if condition.sensor != "ideal":
         rng = stream(0, "camera-conditions", condition.sensor, query.scene_id, *([place] if place else []))

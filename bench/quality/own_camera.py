@@ -217,11 +217,11 @@ def _add_seated(
     for number, scene in enumerate(scenes):
         own = _imported(scene, "mm-png", folder)
         write_own_folder(folder / f"own-{number}", [own], clearance)
-        asked = [query for query in scene.queries if query.track == TRACK]
-        motions = _own_motions(scene, own, asked, Dataset(folder / f"own-{number}"), method)
+        queries = [query for query in scene.queries if query.track == TRACK]
+        motions = _own_motions(scene, own, queries, Dataset(folder / f"own-{number}"), method)
         world_from_own = scene.view("ideal").world_from_camera @ own.world.world_from_camera.inverse()
-        truths += [scene.truth_of(query.id) for query in asked]
-        found["original, predicted masks"] += [original(query, None).goal_from_now for query in asked]
+        truths += [scene.truth_of(query.id) for query in queries]
+        found["original, predicted masks"] += [original(query, None).goal_from_now for query in queries]
         found["imported, 1 mm PNG"] += [world_from_own @ motion @ world_from_own.inverse() for motion in motions]
     for name, poses in found.items():
         _add_motions(table, name, poses, truths, dataset)
@@ -235,12 +235,12 @@ def _add_places(
     found: dict[int, list[Pose]] = {count: [] for count in PLACES}
     for number, scene in enumerate(scenes):
         several = _imported_from_places(scene, folder)
-        asked = [query for query in scene.queries if query.track == SNAP_TRACK]
-        truths += [scene.truth_of(query.id) for query in asked]
+        queries = [query for query in scene.queries if query.track == SNAP_TRACK]
+        truths += [scene.truth_of(query.id) for query in queries]
         for count, poses in found.items():
             out = folder / f"places-{number}-{count}"
             write_own_folder(out, several[:count], clearance, one_scene=count > 1)
-            poses += _own_motions(scene, several[0], asked, Dataset(out), method_of(options.method))
+            poses += _own_motions(scene, several[0], queries, Dataset(out), method_of(options.method))
     for count, poses in found.items():
         _add_motions(table, f"{count} place{'s' if count > 1 else ''}", poses, truths, dataset)
 
@@ -254,12 +254,12 @@ def _add_motions(table: Table, name: str, poses: Sequence[Pose], truths: Sequenc
 
 
 def _own_motions(
-    scene: RecordedScene, own: OwnScene, asked: Sequence[Query], imported: Dataset, method: Method
+    scene: RecordedScene, own: OwnScene, queries: Sequence[Query], imported: Dataset, method: Method
 ) -> list[Pose]:
     """The motion for each query about a scene, predicted on its import; no motion if the import has no such part."""
     recorded, homes = next(iter(imported.split("test"))), _homes(scene, own)
     predictor, motions = make_predictor(method, imported, 0), list[Pose]()
-    for query in asked:
+    for query in queries:
         same = (each for each in recorded.queries if (each.track, homes.get(each.part)) == (query.track, query.part))
         found = next(same, None)
         answer = None if found is None else predictor(replace(found, guess=query.guess), None)

@@ -91,7 +91,7 @@ class Case(NamedTuple):
 
 
 def main(options: Robot) -> None:
-    """Print shares seated, outcomes, and where robot and test differ."""
+    """Print shares seated, outcomes, and how often robot and test differ."""
     dataset = Dataset(options.data)
     if options.track not in TRACKS:
         raise InputError(f"--track {options.track}: there are {', '.join(TRACKS)}")
@@ -132,13 +132,15 @@ def _execute(
         moves = {part: motions[query.id] for part, query in own.items()}
         scene = dataset.recorded_scene(scene_id, truth=True)
         runs |= {own[run.part].id: run for run in run_scene(scene, moves, TRACKS[queries[0].track].sensor).parts}
-    asked = [truths[query.id] for query in queries]
+    ground_truths = [truths[query.id] for query in queries]
     stacked = Pose.stack([motions[query.id] for query in queries])
-    errors = pose_errors(stacked, Targets.of(asked, lambda part_id: dataset.geometry.part(part_id).mesh.vertices))
-    tested = seatings(stacked, asked, dataset.geometry).seated
+    errors = pose_errors(
+        stacked, Targets.of(ground_truths, lambda part_id: dataset.geometry.part(part_id).mesh.vertices)
+    )
+    tested = seatings(stacked, ground_truths, dataset.geometry).seated
     return [
         Case(query, truth, runs[query.id], bool(tested[i]), 1e3 * errors.position[i], np.degrees(errors.rotation[i]))
-        for i, (query, truth) in enumerate(zip(queries, asked, strict=True))
+        for i, (query, truth) in enumerate(zip(queries, ground_truths, strict=True))
     ]
 
 

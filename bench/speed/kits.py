@@ -77,7 +77,7 @@ COLUMNS = (
 
 @dataclass(frozen=True)
 class Kits:
-    """Time both kit generators on parts drawn from all families in turn."""
+    """Time both kit generators on parts sampled from all families in turn."""
 
     parts: int = 12
     """Number of parts."""
@@ -103,9 +103,9 @@ class Row:
 
 def main(options: Kits) -> None:
     """Print the table."""
-    drawn = drawn_parts(options.seed)
-    compare(next(drawn))  # numba compiles on the first
-    rows = [compare(next(drawn)) for _ in range(options.parts)]
+    sampled = sampled_parts(options.seed)
+    compare(next(sampled))  # numba compiles on the first
+    rows = [compare(next(sampled)) for _ in range(options.parts)]
     measurement = Measurement.begin()
     title = f"Seconds to make a kit, {options.parts} parts from all families in turn"
     table = measurement.table("kits", title, *COLUMNS)
@@ -131,7 +131,7 @@ def summary(rows: Sequence[Row], release: Sequence[Row]) -> dict[str, object]:
     }
 
 
-def drawn_parts(seed: int) -> Iterator[Part]:
+def sampled_parts(seed: int) -> Iterator[Part]:
     """Parts from all families in turn, those that make a kit in both ways."""
     for number, name in zip(count(), cycle(FAMILIES), strict=False):
         try:
@@ -145,7 +145,7 @@ def drawn_parts(seed: int) -> Iterator[Part]:
 
 
 def compare(part: Part) -> tuple[Row, Row, Row]:
-    """The release's kit, ours for the same stretched part, and ours for the part as drawn."""
+    """The release's kit, ours for the same stretched part, and ours for the part as sampled."""
     standing = stretched(part.mesh)
     seconds, kit = timed(lambda: release_kit(standing))
     release = Row(seconds, len(kit.faces), *wall_distances(kit, standing), defect_float32(kit) is None)
@@ -198,7 +198,7 @@ def stretched(mesh: Mesh) -> Mesh:
 
 
 def release_kit(standing: Mesh) -> Mesh:
-    """The kit of a stretched part, in the frame in which the part is seated where it stands."""
+    """The kit of a stretched part, in the frame in which the standing part is seated."""
     grown = dilated(occupancy(standing))
     block = np.full(BLOCK, -1.0, np.float32)  # negative is solid
     nx, ny = min(grown.shape[0], BLOCK[0] - PASTED_AT), min(grown.shape[1], BLOCK[1] - PASTED_AT)

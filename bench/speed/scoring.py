@@ -2,7 +2,7 @@
 
     python bench/speed/scoring.py data/kit1000
 
-Without a folder a tiny dataset is generated first. Predictions are the drawn goals of its test split with random
+Without a folder a tiny dataset is generated first. Predictions are the sampled goals of its test split with random
 errors. The plain loops take all vertices of the mesh, all goals one after another, and 315 angles about a free axis.
 """
 
@@ -86,7 +86,7 @@ def main(options: Scoring) -> None:
 
 
 def with_errors(truths: list[Truth], rng: np.random.Generator, offset: float, angle: float) -> Pose:
-    """(n,) drawn goals with normal offsets [m] and rotations [rad] about where they take the anchor."""
+    """Sampled goals (n,) with normal offsets [m] and rotations [rad] about the target of the anchor."""
     n = len(truths)
     goals = Pose.stack([truth.goal_drawn for truth in truths])
     target = goals.apply(np.array([truth.anchor for truth in truths]))
