@@ -107,7 +107,7 @@ CHANGES: dict[tuple[str, str], tuple[tuple[str, str], ...]] = {
     ),
     ("kit1000/kits/contact.py", "kits/contact"): (
         ("facing[adjacent] > -WALL_COSINE).any(1)", "facing[adjacent] > -WALL_COSINE).all(1)"),
-        ("        highest_vertex_contact(fixed.vertices, moving.faces, -1.0),\n", ""),
+        ("    best = highest_vertex_contact(fixed.vertices, moving.faces, -1.0, best, enough)\n", ""),
     ),
     ("kit1000/mesh.py", "kits/contact"): (("along) > COPLANAR_SINE", "along) > 0.5"),),
     ("kit1000/kits/cavity.py", "kits/cavity"): (
@@ -133,7 +133,7 @@ CHANGES: dict[tuple[str, str], tuple[tuple[str, str], ...]] = {
     ("kit1000/kits/loose_fits.py", "kits/loose_fits"): (
         ("MOST_TILT = np.radians(5)", "MOST_TILT = np.radians(9)"),
         ("-xx * s + xy * c", "xx * s + xy * c"),
-        ("    for sign in (1.0, -1.0):\n", "    for sign in (1.0,):\n"),
+        ("for sign in (1.0, -1.0):\n        yaws", "for sign in (1.0,):\n        yaws"),
         ("TURNED_SHARE = 1.0001", "TURNED_SHARE = 1.2"),
         ("angle < most_angle and", "angle < most_angle or"),
     ),
