@@ -191,7 +191,7 @@ def fake_scenes(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def quick_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pictures have one sample, and few lamps with coarse shadows; what they show stays."""
-    monkeypatch.setattr(shading, "SAMPLES", 1)
+    monkeypatch.setattr(shading, "SHIFTS", shading.SHIFTS[:1])
     monkeypatch.setattr(lighting, "KEY_LAMPS", 3)
     monkeypatch.setattr(lighting, "SKY_LAMPS", 5)
     monkeypatch.setattr(lighting, "MAP_SIZE", 64)

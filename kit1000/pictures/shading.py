@@ -42,7 +42,8 @@ SECONDARY: tuple[Colour, ...] = (BLUE, TEAL, SAND, PLUM, MOSS, SLATE)  # the oth
 
 PRODUCT_VIEW = (0.75, -1.0, 0.8)  # from the scene to the camera: from the front right, well above
 OUTLINE_STEP = 0.012  # smallest depth step with an outline, in radii of the scene
-SAMPLES = 4  # images averaged into one, each shifted by a fraction of a pixel, and lit by other lamps
+SHIFTS = ((-0.375, 0.125), (-0.125, -0.375), (0.125, 0.375), (0.375, -0.125))
+"""[px] of the images whose mean is a picture: no two have the same column or row. Each is lit by other lamps."""
 LEVELS = 1 << 14  # of a linear colour, in the table of its values in sRGB
 
 
@@ -83,15 +84,14 @@ def shaded_picture(
     if ground:
         draw_ground(Intrinsics.of(camera), *viewer, lamps, float(scene.corners[..., 2].min()), behind[0, 0], behind)
     total = np.zeros_like(behind)
-    for sample in range(SAMPLES):
-        shift = (_van_der_corput(sample, 2) - 0.5, _van_der_corput(sample, 3) - 0.5)
-        shifted = replace(camera, cx=camera.cx + shift[0], cy=camera.cy + shift[1])
+    for sample, (right, down) in enumerate(SHIFTS):
+        shifted = replace(camera, cx=camera.cx + right, cy=camera.cy + down)
         rendered = render(shifted, world_from_camera, meshes, threads=1)
         buffers, image = (rendered.depth, rendered.body_ids, rendered.face_ids), behind.copy()
-        illuminate(Intrinsics.of(shifted), *viewer, buffers, scene, lamps, sample, SAMPLES, image)
+        illuminate(Intrinsics.of(shifted), *viewer, buffers, scene, lamps, sample, len(SHIFTS), image)
         draw_lines(*buffers, scene.first_face, patches, scene.albedo, OUTLINE_STEP * radius, image)
         total += np.minimum(image, 1, out=image)
-    return _srgb(np.divide(total, SAMPLES, out=total))
+    return _srgb(np.divide(total, len(SHIFTS), out=total))
 
 
 def framing_camera(
@@ -209,16 +209,6 @@ def _key_direction(world_from_camera: Pose) -> np.ndarray:
     aside = -0.75 * right - 0.25 * forward * (1, 1, 0)
     direction = aside + np.array((0.0, 0.0, 1.15))
     return direction / np.linalg.norm(direction)
-
-
-def _van_der_corput(number: int, base: int) -> float:
-    """The van der Corput sequence: the digits of the number in `base` after the point; even over 0 .. 1."""
-    value, share = 0.0, 1.0 / base
-    while number:
-        number, digit = divmod(number, base)
-        value += digit * share
-        share /= base
-    return value
 
 
 def _linear(colour: Colour) -> np.ndarray:
