@@ -12,8 +12,8 @@ import pytest
 from mcap.records import Chunk, McapRecord
 from mcap.stream_reader import breakup_chunk
 
-from kit1000.dataset.mcap_io import ObservationFile, reading
-from tests.samples.recorded import BIG, observation, write
+from kit1000.dataset.mcap_io import ObservationFile, reading, writing
+from tests.samples.recorded import BIG, observation, same, write
 
 
 @pytest.fixture
@@ -72,3 +72,13 @@ def test_a_file_can_be_used_in_other_processes_and_threads(large: Path) -> None:
         k = [i % 5 for i in range(40)]
         found = list(threads.map(lambda i: file.view(f"test-s{i:04d}", "d415").depth.tobytes(), k))
     assert found == [observation(i, BIG).views["d415"].depth.tobytes() for i in k]
+
+
+def test_a_file_of_data_2_0_0_with_a_chunk_for_each_scene_is_read_alike(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scenes = [observation(k) for k in range(3)]
+    monkeypatch.setattr(writing, "LARGE", ())
+    file = ObservationFile(write(tmp_path / "older.mcap", scenes))
+    assert file.view_keys("test-s0001") == ("ideal", "d415")
+    assert all(same(file.observation(scene.scene_id), scene) for scene in scenes)
