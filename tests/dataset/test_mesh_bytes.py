@@ -8,7 +8,7 @@ import trimesh
 from trimesh.visual.material import PBRMaterial
 from trimesh.visual.texture import TextureVisuals
 
-from kit1000.dataset.mesh_files import STL_FACET, glb_bytes, stl_bytes
+from kit1000.dataset.mesh_files import FACET, glb_bytes, stl_bytes
 from kit1000.mesh import Mesh, y_up
 from tests.samples.mini import l_shape
 
@@ -42,5 +42,5 @@ def test_an_stl_has_the_numbers_of_trimesh(mesh: Mesh) -> None:
     ours = stl_bytes(mesh)
     assert isinstance(theirs, bytes)
     assert ours[:84] == theirs[:84]
-    mine, reference = (np.frombuffer(data, STL_FACET, offset=84) for data in (ours, theirs))
+    mine, reference = (np.frombuffer(data, FACET, offset=84) for data in (ours, theirs))
     assert np.array_equal(mine, reference)  # -0 equals 0
