@@ -1,4 +1,4 @@
-"""Masks cut back by segmentation, where it agrees with what depth alone shows: by networks, of a scanner by rules."""
+"""Masks cut back to what segmentation confirms: by networks, or by rules for a structured-light scanner."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from kit1000.values import ASSEMBLY_LABEL, View
 
 AGREED = 0.5  # least share of a body that the network sees as body too
 LEAST_PART = 150  # [px] of an instance
-LEAST_SHARE = 0.12  # of the pixels of a body's largest instance, of any other in it
-ROUND = 0.88  # area over convex area from above: a body that fills its outline more is one part
+LEAST_SHARE = 0.12  # ratio of the pixels of an instance to those of the largest one in a body, at least
+ROUND = 0.88  # area over convex area from above: a body with more than that is one part
 LONGEST = 0.2  # [m] of bodies that may be several parts: the networks know parts of 35 to 50 mm
 
 
@@ -61,7 +61,7 @@ def cut_back(
 
 
 def _found(view: View, facts: SensorFacts) -> Found:
-    """What networks see; of a scanner, whose images none restores, what rules see."""
+    """What the networks see; for a scanner, whose images no network restores, what the rules see."""
     if not facts.kind.restores:
         labels = segmented(view, facts)
         return Found(labels > 0, np.maximum(labels.astype(int) - ASSEMBLY_LABEL, 0))
@@ -80,7 +80,7 @@ def _is_instance(body: SeenBody, found: Found) -> bool:
 
 
 def _joined(table: Table, parts: Sequence[SeenBody], found: Found) -> list[SeenBody]:
-    """The parts in their order; those of which segmentation sees most as one instance are one, up to LONGEST."""
+    """The parts in their order; parts that segmentation sees as one instance are joined, up to LONGEST."""
     whole: dict[int, SeenBody] = {}
     for place, part in enumerate(parts):
         counts = np.bincount(found.instances[part.mask], minlength=2)
@@ -93,7 +93,7 @@ def _joined(table: Table, parts: Sequence[SeenBody], found: Found) -> list[SeenB
 
 
 def _agreed(table: Table, body: SeenBody, seen: np.ndarray) -> SeenBody:
-    """A body without the pixels that the networks see as table; as it was where they disagree too much."""
+    """A body without the pixels that segmentation sees as table; unchanged if both disagree too much."""
     common = body.mask & seen
     if common.sum() < AGREED * body.mask.sum() or not (table.image.depth[common] > 0).any():
         return body
@@ -101,7 +101,7 @@ def _agreed(table: Table, body: SeenBody, seen: np.ndarray) -> SeenBody:
 
 
 def _pieces(table: Table, body: SeenBody, found: Found) -> list[SeenBody]:
-    """The parts that a body consists of, the largest first: one, where its outline is that of one."""
+    """The parts that a body consists of, the largest first; one if its outline is that of a single part."""
     agreed = _agreed(table, body, found.body)
     counts = np.bincount(found.instances[agreed.mask], minlength=1)
     counts[0] = 0

@@ -11,24 +11,28 @@ from scipy.ndimage import binary_dilation, binary_erosion, binary_fill_holes, bi
 from kit1000.capture.table_search import Table, convex_outline, inside_outline
 from kit1000.perception.segmentation.pieces import connected
 
-LEAST_HEIGHT = 2.5e-3  # [m] of a pixel above the table,
-RIPPLES, MOST_LEAST = 2.5, 8e-3  # or so many of the table's own standard deviations, [m] up to this
-BODY_HEIGHT, BODY_QUANTILE = 6e-3, 0.9  # [m] that a tenth of a body reaches
-SURE, MOST_SURE = 2.3, 19e-3  # times RIPPLES, [m] up to this, of one that is sure; ripple alone reaches 2.1 times
+LEAST_HEIGHT = 2.5e-3  # [m] of a pixel of a body above the table, at least
+RIPPLES = 2.5  # standard deviations of the table's ripple that such a pixel must exceed
+MOST_LEAST = 8e-3  # [m] that the ripple can raise LEAST_HEIGHT to
+BODY_HEIGHT, BODY_QUANTILE = 6e-3, 0.9  # [m] that the highest tenth of a body's pixels reaches
+SURE = 2.3  # times RIPPLES, that a sure body reaches: ripple alone reaches 2.1 times
+MOST_SURE = 19e-3  # [m] that the ripple can raise the height of a sure body to
 TALLEST = 0.2  # [m]
 EDGE = 6e-3  # [m] inside the table's outline, where bodies stand
-STRIP = 15e-3  # [m] shorter side: of strips beside something higher at the outline, which are its foot
+STRIP = 15e-3  # [m] shorter side of a strip: beside something higher at the outline it is the foot of that
 TOUCHING = 3  # [px]
-LONG, BORDER, INSIDE = 4.0, 36e-3, 0.3  # length over width, and [m] from the outline of all but this share, of others
+LONG = 4.0  # ratio of length and width of a strip along the table's outline
+BORDER, INSIDE = 36e-3, 0.3  # [m] from the outline, within which such a strip has all but this share of its pixels
 LEAST_AREA = 1e-4  # [m^2] seen
 LEAST_PIXELS = 150
 MOST_BODIES = 200
-SPIKE = 3  # [px] side of a square that is a body, and no noise
-NARROW = 5  # [px] side of a square inside every body: what a matcher smears beside edges is narrower
-SEAM = 9  # [px] the same of bodies that touch another one in the image
-GAP = 25e-3  # [m] along the table, between neighbours in the image that are two bodies
-FRAGMENT, FRAGMENT_AREA = 0.1, 5e-4  # of the larger one's area, and [m^2], of pieces that a shadow cut off
-MOST_POINTS = 2000  # whose smallest rectangle is sought
+SPIKE = 3  # [px] side of a square that fits into a body, but not into noise
+NARROW = 5  # [px] side of a square that fits into every body: what a matcher smears beside edges is narrower
+SEAM = 9  # [px] the same, of a body that touches another one in the image
+GAP = 25e-3  # [m] along the table, between neighbouring pixels that belong to two bodies
+FRAGMENT = 0.1  # ratio of areas up to which a piece inside the outline of a body was cut off by a shadow
+FRAGMENT_AREA = 5e-4  # [m^2] of such a piece, at most
+MOST_POINTS = 2000  # whose smallest rectangle is searched
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +63,7 @@ class SeenBodies(NamedTuple):
 def seen_bodies(table: Table, floor: np.ndarray | None = None) -> SeenBodies:
     """The bodies of an image, at most MOST_BODIES.
 
-    floor: (H, W) [m] heights that the empty table has in the same place, NaN where unknown; None: it is searched.
+    floor: (H, W) [m] heights of the empty table, NaN if unknown; None: the table of this image is used.
     """
     heights = table.flat_heights if floor is None else table.heights - np.nan_to_num(floor)
     least = float(np.clip(RIPPLES * table.ripple, LEAST_HEIGHT, MOST_LEAST))
