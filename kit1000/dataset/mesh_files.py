@@ -20,7 +20,7 @@ from kit1000.parts.files.stl import FACET
 GLTF_BINARY, JSON_CHUNK, BINARY_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
 UNSIGNED_INT, FLOAT, TRIANGLES = 5125, 5126, 4
 MAX_FACES = 10_000_000  # of one file that is read
-ASSET = {"version": "2.0", "generator": "https://github.com/mikedh/trimesh"}  # files keep the bytes that it wrote
+ASSET = {"version": "2.0", "generator": "https://github.com/mikedh/trimesh"}  # trimesh wrote the first files
 
 
 def glb_bytes(bodies: Mapping[str, Mesh], colours: Mapping[str, tuple[int, int, int]] | None = None) -> bytes:

@@ -1,4 +1,4 @@
-"""What dataset.json says of scenes of the user's own camera, as `kit1000 import` and `kit1000 label` write it."""
+"""What dataset.json says about scenes of the user's own camera, as `kit1000 import` and `kit1000 label` write it."""
 
 from __future__ import annotations
 

@@ -63,7 +63,7 @@ def write_scene_recording(
         path: an .mcap file.
         truth: with models, goals and seated parts.
         predictions: a predictions file whose answers to the scene are shown, coloured by their errors; needs the truth.
-        track: whose queries give the pivots, guesses, goals and answers; by default the first that asks in the scene.
+        track: its queries give the pivots, guesses, goals and answers; by default the first with queries here.
 
     Raises:
         InputError: no such scene or track, the truth is withheld, or no answer is about the scene.
@@ -138,7 +138,7 @@ def _body_poses(scene: RecordedScene) -> dict[str, Pose]:
 
 
 def _asked(queries: Sequence[Query], stamp: int) -> Iterator[Message]:
-    """Pivots as crosses, and where guesses take them together with the visible points of their parts."""
+    """The pivots as crosses, and the crosses and the visible points of the parts as the guesses move them."""
     crosses = [query.pivot + _CROSS for query in queries]
     if crosses:
         colours = np.tile(_CROSS_COLOURS, (len(crosses), 1))
@@ -170,7 +170,7 @@ def _models(scene: RecordedScene, stamp: int) -> Message:
 def _goals(
     scene: RecordedScene, queries: Sequence[Query], answers: Predictions | None, stamp: int
 ) -> Iterator[Message]:
-    """All goals, each part seated at one of them, and where answers take it; the nearest goal where there is one."""
+    """All goals, each part seated at one of them (the nearest to its answer), and each part as its answer moves it."""
     if not queries:
         return
     truths = [scene.truths[query.id] for query in queries]

@@ -3,9 +3,9 @@
 The public folder has everything of training and validation, and only the observations of the test split. Its
 `dataset.json` commits to the withheld files by a salted hash; salt and seed stay in the full folder.
 
-Every test scene is asked about in one track, and published with the depth images of that track's sensor alone. Guesses
-about one part from several tracks would narrow its goal down; a guess shows a track without guesses which slot to take;
-and an image without noise answers for a noisy one.
+Every test scene has the queries of one track, and only the depth images of that track's sensor. Guesses about one part
+from several tracks would narrow down its goal. A guess would reveal the slot to tracks that have no guess, and an image
+without noise would reveal the answer to tracks with noisy images.
 """
 
 from __future__ import annotations

@@ -45,7 +45,7 @@ def scene_sheet(dataset: Dataset, scene_id: str) -> bytes:
     recorded = dataset.recorded_scene(scene_id)
     window = window_of_bodies(recorded.labels)
     first, *others = recorded.sensors
-    seen = "depth" if is_own(dataset.summary) else f"{first} depth"  # a camera of one's own is only like the d415
+    seen = "depth" if is_own(dataset.summary) else f"{first} depth"  # the user's own camera is only similar to the d415
     tiles = {seen: depth_picture(recorded.view(first)), "masks": mask_picture(recorded.labelled_depth())}
     tiles |= {f"{sensor} depth": depth_picture(recorded.view(sensor)) for sensor in others[:1]}  # a row of three
     pictures = [Image.fromarray(tile[window]).resize(SCENE_TILE, Image.Resampling.BICUBIC) for tile in tiles.values()]
