@@ -135,9 +135,10 @@ def test_roll_pitch_yaw_give_the_same_rotation(pose: Pose) -> None:
 
 
 def test_an_existing_folder_is_not_changed(assembly: Assembly, tmp_path: Path) -> None:
+    (tmp_path / "other").touch()
     with pytest.raises(InputError, match="exists already"):
         write_urdf(assembly, tmp_path)
-    assert list(tmp_path.iterdir()) == []
+    assert [path.name for path in tmp_path.iterdir()] == ["other"]
 
 
 def test_nothing_is_left_of_an_export_that_fails(

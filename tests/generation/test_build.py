@@ -369,7 +369,7 @@ def test_neighbours_that_cannot_be_placed_are_left_out(
 
     monkeypatch.setattr(assemblies, "MAX_ATTEMPTS", 5)
     monkeypatch.setattr(assemblies, "check_assembly", check)
-    monkeypatch.setattr(assemblies, "find_fit_in_other_slot", lambda *_: None)
+    monkeypatch.setattr(assemblies, "seats_in_other_slot", lambda *_: False)
     preset = build.replace(MINI, kits=(2, 2))
     summary = generate(preset, tmp_path, workers=1, sources=sources)
     assert summary["redraws"]["assemblies"] == {"too narrow": 2 * assemblies.MAX_ATTEMPTS, assemblies.FEWER_KITS: 4}
