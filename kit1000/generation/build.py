@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import shutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from functools import partial
@@ -47,6 +47,17 @@ from kit1000.parts.near_duplicates import near_duplicate_of
 from kit1000.queries.tracks import SPLITS
 from kit1000.sim.world import check_physics
 
+FILES, PARTS, ASSEMBLIES, SCENES = "mesh files", "parts and kits", "assemblies", "scenes"
+SECONDS = {FILES: 1.5, PARTS: 0.8, ASSEMBLIES: 0.3, SCENES: 0.45}
+"""CPU time of one file, part, assembly or scene, roughly [s]: the weights of the progress bar."""
+SCENE_COST = {"test": 2.0}
+"""Cost of a scene of a split with more images, in the cost of a scene of the other splits."""
+BAR = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}"
+SMOOTHING = 0.01  # of the speed from which the bar expects the end: the mean over about a hundred jobs
+
+Run = Callable[..., dict[str, Record]]
+"""Runs the jobs of a stage: `_run_jobs` with its bar and its engine."""
+
 
 def generate(
     preset: Preset,
@@ -82,19 +93,21 @@ def generate(
         check_physics()  # now, not after all parts are made
         write_json(root / "plan.json", head)
         refused, untried = {}, None
-        with engine or local_engine(workers) as parallel_map:
+        expected = _expected_seconds(preset, None if sources is None else len(sources.files))
+        bar_of = partial(tqdm, total=expected, bar_format=BAR, disable=None, smoothing=SMOOTHING)
+        with engine or local_engine(workers) as parallel_map, bar_of() as bar:
+            run = partial(_run_jobs, bar, parallel_map)
             if sources is None:
                 plan = make_plan(preset, head["seed"])
-                parts = _make_parts_and_kits(root, preset, plan, parallel_map)
+                parts = _make_parts_and_kits(root, preset, plan, run)
             else:
-                run = partial(_run_jobs, "mesh files", try_file, parallel_map)
-                tried = try_files(root, preset, head["seed"], sources, run)
+                tried = try_files(root, preset, head["seed"], sources, partial(run, FILES, try_file))
                 if not tried.accepted:
                     raise InputError(_no_usable_file(root, tried.refused))
                 plan = make_plan(preset, head["seed"], list(tried.accepted)) | head
                 parts, refused, untried = deal_files(root, plan, tried.accepted), tried.refused, tried.untried
-            assemblies = _make_assemblies(root, preset, plan, parallel_map)
-            scenes = _make_shards(root, preset, plan, assemblies, parallel_map)
+            assemblies = _make_assemblies(root, preset, plan, run)
+            scenes = _make_shards(root, preset, plan, assemblies, run)
         return write_summary(root, plan, JobRecords(parts, assemblies, scenes, refused, untried))
 
 
@@ -138,14 +151,12 @@ def _finished_summary(root: Path) -> dict[str, Any] | None:
     return None
 
 
-def _make_parts_and_kits(
-    root: Path, preset: Preset, plan: dict[str, Any], parallel_map: ParallelMap
-) -> dict[str, Record]:
+def _make_parts_and_kits(root: Path, preset: Preset, plan: dict[str, Any], run: Run) -> dict[str, Record]:
     """The record of every procedural part and its kit, by id; near-duplicates are redrawn until none is left."""
     jobs = {
         part_id: PartJob(root, preset, plan["seed"], part_id, row["split"]) for part_id, row in plan["parts"].items()
     }
-    records = _run_jobs("parts and kits", make_part_and_kit, parallel_map, list(jobs.values()))
+    records = run(PARTS, make_part_and_kit, list(jobs.values()))
     measures = np.zeros((0, 5))
     for part_id, job in jobs.items():
         while near_duplicate_of(np.array(records[part_id]["measures"]), measures) is not None:
@@ -165,7 +176,7 @@ def _no_usable_file(root: Path, refused: dict[str, str]) -> str:
     return f"none of {len(reasons)} mesh files can be a part: {counts} ({'; '.join(reasons[:3])}{more})"
 
 
-def _make_assemblies(root: Path, preset: Preset, plan: dict[str, Any], parallel_map: ParallelMap) -> dict[str, Record]:
+def _make_assemblies(root: Path, preset: Preset, plan: dict[str, Any], run: Run) -> dict[str, Record]:
     """The record of every assembly, by id."""
     ids = {split: split_ids(plan["parts"], split) for split in SPLITS}
     jobs = [
@@ -181,37 +192,50 @@ def _make_assemblies(root: Path, preset: Preset, plan: dict[str, Any], parallel_
         )
         for assembly_id, row in plan["assemblies"].items()
     ]
-    return _run_jobs("assemblies", make_assembly, parallel_map, jobs)
+    return run(ASSEMBLIES, make_assembly, jobs)
 
 
 def _make_shards(
-    root: Path, preset: Preset, plan: dict[str, Any], assemblies: dict[str, Record], parallel_map: ParallelMap
+    root: Path, preset: Preset, plan: dict[str, Any], assemblies: dict[str, Record], run: Run
 ) -> dict[str, Record]:
-    """The record of every shard of scenes, by id."""
+    """The record of every shard of scenes, by id; the dearest are made first, so that no core idles at the end."""
     jobs = [
         job
         for split in SPLITS
         for job in shard_jobs(root, preset, plan["seed"], split, split_ids(plan["assemblies"], split), set(assemblies))
     ]
-    return _run_jobs("scenes", make_shard, parallel_map, jobs, units=[len(job.assemblies) for job in jobs])
+    costs = {job.id: SCENE_COST.get(job.split, 1.0) * len(job.assemblies) for job in jobs}
+    return run(SCENES, make_shard, sorted(jobs, key=lambda job: -costs[job.id]), costs)
+
+
+def _expected_seconds(preset: Preset, files: int | None) -> float:
+    """CPU time of all jobs, roughly [s]; files: number of mesh files, None for procedural parts."""
+    counts = {split: preset.count(split) for split in SPLITS}
+    total = sum(counts.values())
+    parts = SECONDS[PARTS] * total if files is None else SECONDS[FILES] * min(files, total)
+    scenes = sum(SCENE_COST.get(split, 1.0) * count for split, count in counts.items())
+    return parts + SECONDS[ASSEMBLIES] * total + SECONDS[SCENES] * scenes
 
 
 def _run_jobs(
+    bar: tqdm[Any],
+    parallel_map: ParallelMap,
     what: str,
     function: Callable[[Any], Record],
-    parallel_map: ParallelMap,
     jobs: list[Any],
-    units: list[int] | None = None,
+    costs: Mapping[str, float] | None = None,
 ) -> dict[str, Record]:
-    """Run jobs; returns their records by id. `units`: the count of each job in the progress bar, 1 by default."""
-    total = len(jobs) if units is None else sum(units)
-    weight = {job.id: count for job, count in zip(jobs, units, strict=True)} if units else {}
-    records = {}
-    with tqdm(total=total, desc=what, unit="", disable=None, smoothing=0.05) as bar:
-        for record in parallel_map(function, jobs):
-            _check_files_present(jobs[0].root, record)
-            records[record["id"]] = record
-            bar.update(weight.get(record["id"], 1))
+    """Run the jobs of a stage and return their records by id.
+
+    bar: progress of all stages, in CPU seconds.
+    costs: by id of a job, in the cost of one part, assembly or scene; 1 if None.
+    """
+    records: dict[str, Record] = {}
+    for record in parallel_map(function, jobs):
+        _check_files_present(jobs[0].root, record)
+        records[record["id"]] = record
+        bar.set_description_str(f"{what} {len(records)}/{len(jobs)}", refresh=False)
+        bar.update(SECONDS[what] * (1.0 if costs is None else costs[record["id"]]))
     return records
 
 
