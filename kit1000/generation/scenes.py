@@ -84,6 +84,7 @@ class _SceneParts:
 class _LayoutView:
     """A layout rendered from the primary camera, with the visibility of its parts and slots."""
 
+    scene: _SceneParts
     modes: tuple[str, ...]
     layout: Layout
     world_from_kits: tuple[Pose, ...]
@@ -93,8 +94,27 @@ class _LayoutView:
     parts: tuple[PartVisibility, ...]
     slots: tuple[SlotVisibility, ...]
 
-    def part_invisibility(self, i: int) -> str | None:
+    def invisibility(self, i: int) -> str | None:
+        """Why part i or its slot is not visible enough for a query; None if both are."""
         return view_redraw_reason(self.parts[i], self.slots[i])
+
+    def part(self, i: int) -> PartInScene:
+        """Part i as a candidate for queries."""
+        poses = self.layout.world_from_parts[i], self.world_from_kits[i]
+        return PartInScene(i, self.modes[i], *poses, self.scene.slot(i), self.invisibility(i))
+
+    def row(self, i: int) -> Row:
+        """The row of part i in the truth."""
+        poses = self.layout.world_from_parts[i], self.world_from_kits[i]
+        seen = self.parts[i], self.slots[i], self.invisibility(i)
+        return part_truth_row(self.scene.parts[i], self.scene.mounts[i], self.modes[i], *poses, *seen)
+
+    def segmentation(self) -> np.ndarray:
+        """(H, W) uint16, as in `SceneTruth.seg`."""
+        by_mount = np.argsort(self.scene.mounts).tolist()  # index of the part of each mount
+        kits = [self.scene.mount(i).kit for i in by_mount]
+        world_from_kits = [self.world_from_kits[i] for i in by_mount]
+        return segmentation(self.frame, CAMERA, self.world_from_camera, world_from_kits, kits, range(len(kits)))
 
 
 def make_scene(
@@ -104,38 +124,33 @@ def make_scene(
 
     Raises Redraw if none of MAX_LAYOUTS layouts passes.
     """
-    scene_parts = _scene_parts(preset, seed, split, assembly, parts)
-    layout_view, redraws = _draw_layout_and_view(scene_parts)
-    sensors = preset.sensors_of(split)
-    views, noise_px = _sensor_views(scene_parts, sensors, "", layout_view.world_from_camera, layout_view.frame)
-    labels = np.maximum(layout_view.frame.body_ids - 1, 0).astype(np.uint8)  # nothing and table both become 0
+    scene = _scene_parts(preset, seed, split, assembly, parts)
+    shown, redraws = _draw_layout_and_view(scene)
+    scene_id, target, n = scene.scene_id, scene.target, range(len(scene.parts))
+    views, noise_px = _sensor_views(scene, preset.sensors_of(split), "", shown.world_from_camera, shown.frame)
+    labels = np.maximum(shown.frame.body_ids - 1, 0).astype(np.uint8)  # nothing and table both become 0
     labels.setflags(write=False)
-    in_scene = [_part_in_scene(scene_parts, layout_view, i) for i in range(len(scene_parts.parts))]
+    in_scene = [shown.part(i) for i in n]
     alone = preset.one_track and split == "test"
-    tracks = asking_tracks(
-        scene_parts.scene_id, seed, preset.tracks_of(split), in_scene, crowded=scene_parts.crowded, alone=alone
-    )
-    curves = (CURVES,) if has_curves(scene_parts.scene_id, preset.curve_scenes) else ()
-    rows, truths = scene_queries(
-        scene_parts.scene_id, seed, (*tracks, *curves), views, labels, in_scene, scene_parts.target
-    )
+    tracks = asking_tracks(scene_id, seed, preset.tracks_of(split), in_scene, crowded=scene.crowded, alone=alone)
+    curves = (CURVES,) if has_curves(scene_id, preset.curve_scenes) else ()
+    rows, truths = scene_queries(scene_id, seed, (*tracks, *curves), views, labels, in_scene, target)
     truth = SceneTruth(
-        scene_parts.scene_id,
+        scene_id,
         assembly.id,
-        layout_view.layout.world_from_assembly,
-        tuple(_part_row(scene_parts, layout_view, i) for i in range(len(scene_parts.parts))),
+        shown.layout.world_from_assembly,
+        tuple(shown.row(i) for i in n),
         truths,
-        _segmentation(scene_parts, layout_view),
-        scene_models(assembly, scene_parts.parts),
-        layout_view.world_from_kits[scene_parts.target] @ scene_parts.slot(scene_parts.target).goals,
-        scene_parts.crowded,
+        shown.segmentation(),
+        scene_models(assembly, scene.parts),
+        shown.world_from_kits[target] @ scene.slot(target).goals,
+        scene.crowded,
         noise_px={sensor: noise for sensor, noise in noise_px.items() if noise > 0},
     )
-    observation = Observation(scene_parts.scene_id, views, labels, tuple(rows))
-    observation, truth = with_previews(observation, truth, scene_parts.parts[scene_parts.target].mesh)
-    return GeneratedScene(
-        observation, truth, _extra_views(scene_parts, layout_view.layout) if extra_views else None, tuple(redraws)
-    )
+    observation = Observation(scene_id, views, labels, tuple(rows))
+    observation, truth = with_previews(observation, truth, scene.parts[target].mesh)
+    extra = _extra_views(scene, shown.layout) if extra_views else None
+    return GeneratedScene(observation, truth, extra, tuple(redraws))
 
 
 def bodies(assembly: Assembly, parts: tuple[Part, ...], layout: Layout) -> list[tuple[Mesh, Pose]]:
@@ -199,12 +214,12 @@ def _view_layout(scene_parts: _SceneParts, modes: tuple[str, ...], layout: Layou
     frame = render(CAMERA, view, scene, threads=1)
     parts = tuple(part_visibility(frame, 2 + i, CAMERA, view, *scene[2 + i]) for i in n)
     slots = tuple(slot_visibility(frame.depth, CAMERA, view, scene_parts.mount(i).kit, world_from_kits[i]) for i in n)
-    layout_view = _LayoutView(modes, layout, world_from_kits, view, frame, parts, slots)
-    redraw_for(layout_view.part_invisibility(target))
+    shown = _LayoutView(scene_parts, modes, layout, world_from_kits, view, frame, parts, slots)
+    redraw_for(shown.invisibility(target))
     upright = [i for i in n if modes[i] == UPRIGHT]
-    if upright and all(layout_view.part_invisibility(i) for i in upright):
+    if upright and all(shown.invisibility(i) for i in upright):
         raise Redraw("no upright part is well seen with its slot")
-    return layout_view
+    return shown
 
 
 def redraw_for(reason: str | None) -> None:
@@ -235,35 +250,3 @@ def _extra_views(scene_parts: _SceneParts, layout: Layout) -> Observation:
     for key, (camera, pose) in camera_set("three", scale=scene_parts.preset.scale).items():
         views |= _sensor_views(scene_parts, sensors, key, pose, render(camera, pose, scene, threads=1))[0]
     return Observation(scene_parts.scene_id, views)
-
-
-def _part_in_scene(scene_parts: _SceneParts, layout_view: _LayoutView, i: int) -> PartInScene:
-    return PartInScene(
-        i,
-        layout_view.modes[i],
-        layout_view.layout.world_from_parts[i],
-        layout_view.world_from_kits[i],
-        scene_parts.slot(i),
-        layout_view.part_invisibility(i),
-    )
-
-
-def _part_row(scene_parts: _SceneParts, layout_view: _LayoutView, i: int) -> Row:
-    return part_truth_row(
-        scene_parts.parts[i],
-        scene_parts.mounts[i],
-        layout_view.modes[i],
-        layout_view.layout.world_from_parts[i],
-        layout_view.world_from_kits[i],
-        layout_view.parts[i],
-        layout_view.slots[i],
-        layout_view.part_invisibility(i),
-    )
-
-
-def _segmentation(scene_parts: _SceneParts, layout_view: _LayoutView) -> np.ndarray:
-    by_mount = np.argsort(scene_parts.mounts).tolist()  # index of the part of each mount
-    kits = [scene_parts.mount(i).kit for i in by_mount]
-    world_from_kits = [layout_view.world_from_kits[i] for i in by_mount]
-    seen = (layout_view.frame, CAMERA, layout_view.world_from_camera)
-    return segmentation(*seen, world_from_kits, kits, range(len(kits)))

@@ -14,10 +14,8 @@ Kit frame; metres and radians.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from itertools import product
-from typing import NamedTuple
 
 import numpy as np
 from manifold3d import Manifold
@@ -64,30 +62,14 @@ TRIG_SCALE = 2.0**40  # sines and cosines are rounded to its inverse, so that th
 LENGTH_SCALE = 1e9  # overlaps and heights are compared in whole nanometres
 
 
-class Candidate(NamedTuple):
-    """A pose that the height field allows, with its exact offset to contact."""
-
-    rotation: np.ndarray
-    """(3, 3) kit from part."""
-    xyz: np.ndarray
-    """Position of the part's frame, (3,) [m]; its lowest point is on the cavity's floor."""
-    contact_offset: float
-    """Distance up to contact [m]."""
-
-    @property
-    def pose(self) -> Pose:
-        """kit_from_part"""
-        return Pose.from_rotation_matrix(self.rotation, self.xyz)
-
-
 def find_loose_fit(part: PreparedPart, kit: PreparedKit) -> Pose | None:
     """A kit_from_part pose that is near no goal and seats the part in its own slot, or None."""
     goals, limit = kit.slot.goals.xyz[:, 2], kit.height_limit
     for resting, lift in _faces_near_goals(part, kit.slot):
         highest = float(goals.max()) + limit - (resting.origin_height - kit.slot.depth)
-        for candidate in _candidates(part.mesh, resting, kit, lift, highest, away_from_goals=True):
-            if np.abs(candidate.xyz[2] + candidate.contact_offset - goals).min() <= limit - BISECTION_STEP:
-                return candidate.pose
+        for rotation, xyz, offset in _candidates(part.mesh, resting, kit, lift, highest, away_from_goals=True):
+            if np.abs(xyz[2] + offset - goals).min() <= limit - BISECTION_STEP:
+                return Pose.from_rotation_matrix(rotation, xyz)
     return _fit_beyond_goal(part.mesh, kit)
 
 
@@ -104,11 +86,11 @@ def find_fit_in_other_slot(
 
     batches: of yaws to search.
     """
-    limit = kit.height_limit
+    highest = kit.height_limit - BISECTION_STEP
     for resting in part.resting:
-        for candidate in _candidates(part.mesh, resting, kit, limit, limit - BISECTION_STEP, batches=batches):
-            if candidate.contact_offset <= limit - BISECTION_STEP:
-                return candidate.pose
+        for rotation, xyz, offset in _candidates(part.mesh, resting, kit, kit.height_limit, highest, batches=batches):
+            if offset <= highest:
+                return Pose.from_rotation_matrix(rotation, xyz)
     return None
 
 
@@ -170,9 +152,11 @@ def _candidates(
     *,
     away_from_goals: bool = False,
     batches: Sequence[int] = range(YAW_BATCHES),
-) -> Iterator[Candidate]:
-    """Poses of a part on one face that the height field allows, with the part's lowest point on the floor, and shifts
-    of each by REFINE_STEP.
+) -> Iterator[tuple[np.ndarray, np.ndarray, float]]:
+    """Poses of a part on one face that the height field allows, and shifts of each by REFINE_STEP; with their offsets.
+
+    A pose is a rotation (3, 3), kit from part, and a position (3,) [m]; the part's lowest point is on the floor. The
+    offset takes it up to contact [m].
 
     Args:
         mesh: of the part.
@@ -190,7 +174,7 @@ def _candidates(
         for shift in REFINED_SHIFTS:
             xyz = middle + [*shift, 0]
             shifted = ContactFeatures(moving.vertices + xyz, moving.edges + xyz, moving.faces + xyz)
-            yield Candidate(rotation, xyz, vertical_contact_offset(shifted, kit.features, highest))
+            yield rotation, xyz, vertical_contact_offset(shifted, kit.features, highest)
 
 
 def _poses_on_floor(
@@ -263,103 +247,69 @@ def _collision(points, rotated, heights, x0, y0, cell, dx, dy, lift, last):
     return -1
 
 
-@dataclass(frozen=True, eq=False)
-class LoweredPart:
-    """A part in a base rotation, prepared to be lowered into a cavity."""
-
-    mesh: Mesh
-    rotation: np.ndarray
-    """(3, 3) kit from part."""
-    points: np.ndarray
-    """Points of underside and convex edges relative to the part's origin, farthest from it across first, (n, 3) [m]."""
-
-    @staticmethod
-    def of(mesh: Mesh, rotation: np.ndarray, depth: float) -> LoweredPart:
-        """A part for a cavity of a depth [m]; its lowest point stands on the floor."""
-        vertices = matmul(mesh.vertices, rotation.T)
-        points = underside_points(Mesh(vertices, mesh.faces), _points_on(vertices[mesh.convex_edges[0]]))
-        return LoweredPart(mesh, rotation, points[points[:, 2] < vertices[:, 2].min() + depth + MARGIN])
-
-    def features(self, state: np.ndarray) -> tuple[np.ndarray, ContactFeatures]:
-        """(3, 3) kit from part and the contact features, at z = 0, in a state (5,)."""
-        rotation = matmul(turned_matrix(state[0], state[3], state[4]), self.rotation)
-        return rotation, contact_features(self.mesh, rotation, np.array([state[1], state[2], 0.0]), -1.0)
-
-
 def _fit_beyond_goal(mesh: Mesh, kit: PreparedKit) -> Pose | None:
     """A pose in which the part seats, turned by little more than the limit from the design pose and tilted a little.
 
     The other goals have the same shadow as the design pose, so the part goes in about each of them alike.
     """
-    slot, design = kit.slot, kit.slot.goals[0]
+    slot, design, field = kit.slot, kit.slot.goals[0], kit.fine_field
     if turns_freely(slot):
         return None
     goals, limit = slot.goals.xyz[:, 2], kit.height_limit - BISECTION_STEP
-    lowered = LoweredPart.of(mesh, design.rotation_matrix(), slot.depth)
-    shift = np.array([0.0, slot.clearance + BESIDE, slot.clearance + BESIDE])
-    turned = TURNED_SHARE * near_goal_limits(slot.clearance)[0]
+    base = design.rotation_matrix()
+    grid = (_low_points(mesh, base, slot.depth), field.heights, *field.origin, field.cell, float(design.xyz[2]) + limit)
+    beside, turned = slot.clearance + BESIDE, TURNED_SHARE * near_goal_limits(slot.clearance)[0]
     for sign in (1.0, -1.0):
-        yaws = np.sort([sign * turned, sign * (turned + TURNED_RANGE)])
-        middle = np.array([0.0, *design.xyz[:2]])
-        pose = _lowered_fit(
-            lowered,
-            kit,
-            start=middle + [sign * turned, 0.0, 0.0],
-            reach=middle + np.stack([-shift, shift]) + np.array([[yaws[0], 0, 0], [yaws[1], 0, 0]]),
-            top=float(design.xyz[2]) + limit,
-            accepts=lambda height: bool(np.abs(height - goals).min() <= limit),
-        )
-        if pose is not None and not is_near_goal(pose, slot):
-            return pose
+        start = np.array([sign * turned, *design.xyz[:2]])
+        yaws = sorted((start[0], sign * (turned + TURNED_RANGE)))
+        low = np.array([yaws[0], *(start[1:] - beside), -MOST_TILT, -MOST_TILT])
+        high = np.array([yaws[1], *(start[1:] + beside), MOST_TILT, MOST_TILT])
+        found = [_least_overlap(*grid, np.concatenate([start, tilt]), low, high) for tilt in TILT_STARTS]
+        for state, overlap in sorted(found, key=lambda pair: pair[1])[:TRIED_EXACTLY]:
+            if overlap > NEARLY_CLEAR:
+                break
+            pose = _exact_fit(mesh, base, kit.features, state, low, high, goals, limit)
+            if pose is None:
+                continue
+            if not is_near_goal(pose, slot):
+                return pose
+            break
     return None
 
 
-def _lowered_fit(
-    part: LoweredPart,
-    kit: PreparedKit,
-    *,
-    start: np.ndarray,
-    reach: np.ndarray,
-    top: float,
-    accepts: Callable[[float], bool],
-) -> Pose | None:
-    """A kit_from_part pose that touches at an accepted height, or None.
+def _low_points(mesh: Mesh, base: np.ndarray, depth: float) -> np.ndarray:
+    """Points of the part's underside and of its convex edges that can touch a kit, (n, 3) [m] from the part's origin.
 
-    Args:
-        part: in its base rotation.
-        kit: the kit.
-        start: yaw [rad] beside the base rotation and position x, y [m] of the part's origin, (3,).
-        reach: the lowest and the highest yaw and position, (2, 3).
-        top: the greatest height of the part's origin that is accepted [m].
-        accepts: whether the part's origin may be at a height [m] when it touches.
+    base: (3, 3) kit from part. The part is lowered into a cavity of a depth [m].
     """
-    low = np.concatenate([reach[0], [-MOST_TILT, -MOST_TILT]])
-    high = np.concatenate([reach[1], [MOST_TILT, MOST_TILT]])
-    field = kit.fine_field
-    grid = (part.points, field.heights, *field.origin, field.cell, top)
-    found = [_least_overlap(*grid, np.concatenate([start, tilt]), low, high) for tilt in TILT_STARTS]
-    for k in np.argsort([overlap for _, overlap in found], kind="stable")[:TRIED_EXACTLY]:
-        state, overlap = found[k]
-        pose = _exact_fit(part, kit.features, state, low, high, accepts) if overlap <= NEARLY_CLEAR else None
-        if pose is not None:
-            return pose
-    return None
+    vertices = matmul(mesh.vertices, base.T)
+    points = underside_points(Mesh(vertices, mesh.faces), _points_on(vertices[mesh.convex_edges[0]]))
+    return points[points[:, 2] < vertices[:, 2].min() + depth + MARGIN]
 
 
 def _exact_fit(
-    part: LoweredPart,
+    mesh: Mesh,
+    base: np.ndarray,
     kit: ContactFeatures,
     state: np.ndarray,
     low: np.ndarray,
     high: np.ndarray,
-    accepts: Callable[[float], bool],
+    goals: np.ndarray,
+    limit: float,
 ) -> Pose | None:
-    """The first pose of a pattern search for the lowest contact that touches at an accepted height."""
+    """The first pose of a pattern search for the lowest contact that touches within a limit [m] of a goal's height.
+
+    base: (3, 3) kit from part. goals: (n,) their heights [m].
+    """
 
     def height(state: np.ndarray, enough: float) -> tuple[float, np.ndarray]:
-        rotation, features = part.features(state)
+        rotation = matmul(turned_matrix(state[0], state[3], state[4]), base)
+        features = contact_features(mesh, rotation, np.array([state[1], state[2], 0.0]), -1.0)
         offset = vertical_contact_offset(features, kit, enough + 1 / LENGTH_SCALE)
         return np.round(offset * LENGTH_SCALE) / LENGTH_SCALE, rotation
+
+    def accepts(height: float) -> bool:
+        return bool(np.abs(height - goals).min() <= limit)
 
     best, rotation = height(state, np.inf)
     steps, trials, found = FIRST_STEPS / 2, 1, True

@@ -257,20 +257,15 @@ def make_unfinished(root: Path, sources: Sources, monkeypatch: pytest.MonkeyPatc
             generate(MINI, root, workers=1, sources=sources)
 
 
+RECORDS = [f"{parts_and_kits.BUILD_FOLDER}/{name}.json" for name in ("assemblies/train-0001", "shards/val/0000")]
+MADE = ["parts/train-0000.glb", "kits/val-0000.glb", "assemblies/test-0000.glb", "train/0000.mcap"]
+NO_RECORDS = [b"", b"null", b"{}\n", b'{"files": {"parts/train-0000.glb": "0"}}']
+
+
 @pytest.mark.parametrize(
-    "name",
-    [
-        "parts/train-0000.glb",
-        "kits/val-0000.glb",
-        "assemblies/test-0000.glb",
-        f"{parts_and_kits.BUILD_FOLDER}/parts/train-0001.json",
-        f"{parts_and_kits.BUILD_FOLDER}/assemblies/train-0001.json",
-        "train/0000.mcap",
-        "test/0000.truth.mcap",
-        f"{parts_and_kits.BUILD_FOLDER}/shards/val/0000.json",
-    ],
+    ("name", "data"),
+    [(name, None) for name in (*MADE, "test/0000.truth.mcap", *RECORDS)] + [(RECORDS[1], data) for data in NO_RECORDS],
 )
-@pytest.mark.parametrize("data", [None, b"", b"null", b"{}\n", b'{"files": {"parts/train-0000.glb": "0"}}'])
 def test_damaged_files_are_made_again(
     name: str, data: bytes | None, unfinished: Path, complete: Path, sources: Sources, tmp_path: Path
 ) -> None:
