@@ -1,18 +1,22 @@
-"""Kits are closed plates of the specified size with the clearance that they report, the same on every run."""
+"""Kits keep their plates, clearances and bounds, also for dense meshes of files."""
 
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
+from manifold3d import CrossSection, Manifold
 
 from kit1000.errors import Redraw
-from kit1000.kits.cavity import MIN_PROTRUSION
+from kit1000.kits.cavity import MIN_PROTRUSION, SAGITTA, grown_sweep, insertion_depth
+from kit1000.kits.clearance import measure_clearance
 from kit1000.kits.kit import (
     CLEARANCE,
+    MAX_EXCESS_CLEARANCE,
     MIN_FLOOR,
     MIN_RIM,
     UNIT_PLATE,
@@ -21,16 +25,17 @@ from kit1000.kits.kit import (
     design_kit,
     make_kit,
 )
-from kit1000.kits.shadows import shadow_below
+from kit1000.kits.patches import EXACT, MERGED_FILE, Detail
+from kit1000.kits.shadows import PartShadows, shadow_below
 from kit1000.mesh import Mesh, body_count, defect_float32, solid_from_mesh
-from kit1000.parts.family import make_part
+from kit1000.parts.family import FILE, make_part
 from kit1000.parts.family_catalog import FAMILIES
 from kit1000.pose import Pose, random_quaternions
 from kit1000.rng import stream
 from kit1000.symmetry import Symmetry
 from kit1000.values import Part
 from tests.samples.kits import QUICK, sample_kit, sample_part
-from tests.samples.shapes import MM, X, Z, as_part, box, cylinder, ell, gaps, outline_points, random_solid
+from tests.samples.shapes import MM, X, Z, as_part, box, cylinder, ell, gaps, outline_points, random_solid, standing
 
 # draws whose plates once opened when equal vertices were merged (walls that touched or folded by nanometres)
 ONCE_OPEN = [("wedge", 0), ("cam", 0), ("yoke", 0), ("knob", 2), ("hook", 2), ("flange", 1)]
@@ -174,3 +179,48 @@ def test_kits_of_odd_solids_keep_the_clearance(seed: int) -> None:
     assert_printable(part, made.kit.mesh)
     assert made.measured_clearance.smallest >= 2.48e-3
     assert made.measured_clearance.largest <= 2.6e-3
+
+
+CUBIC_MM = MM**3
+
+
+def filleted(segments: int = 64) -> Manifold:
+    """A block with a concave fillet of many facets all round its foot, and a hole off its centre."""
+    angles = np.linspace(0, np.pi / 2, segments // 4)
+    fillet = np.column_stack([16 - 6 * np.sin(angles), 6 - 6 * np.cos(angles)])
+    profile = np.vstack([[(0, 0), (16, 0)], fillet[1:], [(10, 20), (0, 20)]])
+    body = Manifold.revolve(CrossSection([profile]), segments)
+    return body.rotate((180, 0, 0)).translate((0, 0, 20)) - Manifold.cylinder(40, 2, 2, 48, True).translate((4, 1, 0))
+
+
+def arched() -> Manifold:
+    """A bar with an arch through it, whose sides lean outwards by a degree: slivers seen from above."""
+    bar = box(50, 12, 24).warp_batch(leaned)
+    return bar - Manifold.cylinder(60, 8, 8, 48, True).rotate((90, 0, 0))
+
+
+def leaned(points: np.ndarray) -> np.ndarray:
+    """Points (n, 3) [mm] of a bar, farther from its middle the higher they are."""
+    return np.column_stack([points[:, 0], points[:, 1] + np.sign(points[:, 1]) * 0.0175 * points[:, 2], points[:, 2]])
+
+
+def swept(solid: Manifold, detail: Detail) -> Manifold:
+    """The grown sweep of a solid [mm] below its rim."""
+    stood = standing(solid)
+    depth = insertion_depth(stood.bounding_box()[5])
+    return grown_sweep(PartShadows.of(stood, depth), CLEARANCE, detail).trim_by_plane((0, 0, -1), -depth)
+
+
+@pytest.mark.parametrize("make", [filleted, arched])
+@pytest.mark.parametrize("clearance", [CLEARANCE, 0.5e-3])
+def test_the_cavity_of_a_file_keeps_the_bounds_of_the_clearance(make, clearance: float) -> None:
+    design = design_kit(replace(as_part(make()), family=FILE), clearance, None)
+    measured = measure_clearance(design.kit.mesh, design.cavity, heights=25)
+    assert clearance - SAGITTA <= measured.smallest
+    assert measured.largest <= clearance + MAX_EXCESS_CLEARANCE
+
+
+def test_merged_patches_of_a_file_do_not_fill_an_arch() -> None:
+    merged, exact = swept(arched(), MERGED_FILE), swept(arched(), EXACT)
+    assert (merged - exact).volume() < 0.1 * MM * exact.surface_area() / 10
+    assert swept(arched(), Detail(0.07 * MM, 1e-6)).volume() > exact.volume() + 100 * CUBIC_MM  # by its area alone

@@ -1,4 +1,4 @@
-"""The simulated sensors compared with their parameters: closed forms on planes and steps."""
+"""Depth sensors, their stereo images and noise: ideal depth, errors of the stated size, equal draws."""
 
 from __future__ import annotations
 
@@ -6,11 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.ndimage import uniform_filter1d
+from scipy.stats import norm
 
 from kit1000.camera import Camera
 from kit1000.errors import InputError
 from kit1000.pose import Pose
 from kit1000.rng import stream
+from kit1000.sim.noise_fields import add_enlarged, box_means, smooth_field, uniform_of, windowed_noise
 from kit1000.sim.sensors import (
     BENDING_AT,
     DEPTH_GRID,
@@ -22,8 +27,10 @@ from kit1000.sim.sensors import (
     sense,
     with_calibration,
 )
+from kit1000.sim.stereo import EDGE_STEP, disparity_from_depth, grazing_mask, occlusion_mask
 from kit1000.values import View
 from tests.samples import depth_scenes
+from tests.samples.depth_scenes import boxes, plane, rays, scene
 
 CAMERA = Camera(1280, 720, 925.0, 925.0, 639.5, 359.5)
 SMALL = Camera(320, 240, 925.0, 925.0, 159.5, 119.5)
@@ -319,3 +326,124 @@ def test_pixels_show_the_surfaces_that_they_look_at(name: str, monkeypatch: pyte
     basis = np.column_stack([true[kept], slopes])
     shift = np.linalg.lstsq(basis.T @ basis, basis.T @ error[kept], rcond=None)[0][1:]
     assert np.abs(shift).max() <= 0.25  # [px]
+
+
+SMALL_STEREO = Camera(160, 120, 925.0, 925.0, 79.5, 59.5)
+
+
+def two_walls(near: float, far: float) -> np.ndarray:
+    """Disparities, with the border, of a far wall and of a near one in front of columns 250 to 389."""
+    depth = np.full((40, 400), far, np.float32)
+    depth[:, 250:390] = near
+    return disparity_from_depth(depth, np.float32(GAIN))
+
+
+@given(near=st.floats(0.4, 0.9), behind=st.floats(0.05, 1.0))
+@settings(max_examples=30)
+def test_shadows_are_left_of_near_bodies_and_as_wide_as_the_step_in_disparity(near: float, behind: float) -> None:
+    band = int(np.ceil(GAIN / (near + behind)))  # columns outside the other image
+    columns = np.flatnonzero(occlusion_mask(two_walls(near, near + behind), 0.0)[20, 1:-1][band + 1 :]) + band + 1
+    step = GAIN / near - GAIN / (near + behind)
+    assert columns.size == pytest.approx(step, abs=1.0)
+    np.testing.assert_array_equal(columns, np.arange(250 - columns.size, 250))
+
+
+@pytest.mark.parametrize(("polar", "radius"), [(0.5, 0.6), (0.9, 0.8), (1.25, 0.9)])
+def test_shadows_are_invisible_in_a_second_rendering(polar: float, radius: float) -> None:
+    view = scene(radius, polar)
+    d = disparity_from_depth(view.depth, np.float32(GAIN))
+    occluded = occlusion_mask(d, 0.0)[1:-1, 1:-1]
+    other = boxes(CAMERA, view.world_from_camera @ Pose.from_translation(np.array([D415.baseline, 0, 0])))
+    v, u = np.nonzero(view.depth)
+    x = u - GAIN / view.depth[v, u]
+    column = np.floor(x + 0.5).astype(int)
+    inside = (column >= 0) & (column < CAMERA.width)
+    other_depth = np.zeros(len(u))
+    other_depth[inside] = other.depth[v[inside], column[inside]]
+    nearer = other_depth < GAIN / (GAIN / view.depth[v, u] + EDGE_STEP)
+    invisible = ~inside | ((other_depth > 0) & nearer)
+    assert 0.01 < invisible.mean() < 0.2
+    assert np.mean(occluded[v, u] != invisible) < 0.002  # pixels that straddle an outline
+
+
+def test_converging_imagers_lose_the_opposite_border() -> None:
+    d = disparity_from_depth(np.full((3, 200), 1.0, np.float32), np.float32(50))
+    assert list(np.flatnonzero(occlusion_mask(d, 0.0)[2, 1:-1])) == list(range(50))
+    assert not occlusion_mask(d, 50.0)[2].any()
+    assert list(np.flatnonzero(occlusion_mask(d, 80.0)[2, 1:-1])) == list(range(170, 200))
+
+
+@pytest.mark.parametrize("tilt_deg", [60, 72, 78, 81, 84, 88])
+def test_returns_fail_at_grazing_angles_with_the_stated_probability(tilt_deg: float) -> None:
+    tilt = np.radians(tilt_deg)
+    normal = np.array([np.sin(tilt) * 0.6, np.sin(tilt) * 0.8, np.cos(tilt)])
+    view = plane(SMALL_STEREO, tuple(normal), 0.8)
+    ray = rays(SMALL_STEREO)
+    incidence = np.degrees(np.arccos(np.clip(ray @ normal / np.linalg.norm(ray, axis=-1), 0, 1)))
+    start, end = D415.grazing_deg
+    expected = np.clip((incidence - start) / (end - start), 0, 1)[1:-1, 1:-1]
+    d = disparity_from_depth(view.depth, np.float32(GAIN))
+    intrinsics = (SMALL_STEREO.fx, SMALL_STEREO.fy, SMALL_STEREO.cx, SMALL_STEREO.cy)
+    limits = np.radians((start, end))
+    masks = [
+        grazing_mask(d, intrinsics, smooth_field(np.random.default_rng(seed), (60, 80), 5), *limits)
+        for seed in range(300)
+    ]
+    missing = np.mean(masks, axis=0)[2:-2, 2:-2]
+    visible = view.depth[1:-1, 1:-1] > 0
+    assert missing[visible].mean() == pytest.approx(expected[visible].mean(), abs=0.02)
+    assert not missing[visible & (expected == 0)].any()
+    assert (missing[visible & (incidence[1:-1, 1:-1] > end + 0.1)] == 1).all()
+
+
+def test_box_means_are_those_of_a_filter_with_periodic_boundaries() -> None:
+    image = np.random.default_rng(0).standard_normal((17, 23)).astype(np.float32)
+    for across, down in ((1, 1), (5, 3), (7, 9)):
+        once = uniform_filter1d(image.astype(float), down, 0, mode="wrap")
+        expected = 2 * uniform_filter1d(once, across, 1, mode="wrap")
+        np.testing.assert_allclose(box_means(image, across, down, np.float32(2)), expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("windows", [(1, 1), (13, 9), (5, 1)])
+def test_windowed_noise_has_unit_variance_and_the_correlation_of_its_windows(windows: tuple[int, int]) -> None:
+    field = np.stack([windowed_noise(stream(seed), (480, 640), windows) for seed in range(4)])
+    assert field.dtype == np.float32
+    assert np.std(field) == pytest.approx(1, abs=0.03)
+    for axis, width in ((2, windows[0]), (1, windows[1])):
+        kernel = np.convolve(np.ones(width), np.ones(width))
+        tail = np.correlate(kernel, kernel, "full")[len(kernel) - 1 :] / np.sum(kernel**2)
+        for lag in (1, 4, 8):
+            expected = tail[lag] if lag < len(tail) else 0
+            assert np.mean(field * np.roll(field, lag, axis)) == pytest.approx(expected, abs=0.04)
+
+
+def test_a_smooth_field_has_unit_variance() -> None:
+    fields = np.stack([smooth_field(stream(seed), (200, 300), 7) for seed in range(6)])
+    assert np.std(fields) == pytest.approx(1, abs=0.05)
+    assert np.mean(fields * np.roll(fields, 1, 2)) > 0.95
+
+
+def test_the_share_below_a_normal_value_is_its_distribution() -> None:
+    values = np.linspace(-6, 6, 4001, dtype=np.float32)[None]
+    shares = uniform_of(values)[0]
+    np.testing.assert_allclose(shares, norm.cdf(values[0]), atol=3e-3)
+    assert (np.diff(shares) >= 0).all()
+    assert shares.min() >= 0
+    assert shares.max() <= 1
+
+
+@pytest.mark.parametrize(("shape", "factor"), [((12, 20), 4), ((13, 21), 4), ((9, 9), 8), ((6, 7), 2)])
+def test_an_enlarged_field_is_bilinear_between_its_values(shape: tuple[int, int], factor: int) -> None:
+    coarse = tuple(-(-n // factor) for n in shape)
+    field = np.random.default_rng(1).standard_normal(coarse).astype(np.float32)
+    out = np.ones(shape, np.float32)
+    add_enlarged(out, field, factor, np.float32(3))
+    np.testing.assert_allclose(out[::factor, ::factor], 1 + 3 * field, atol=1e-5)
+    wrapped = np.pad(field, ((0, 1), (0, 1)), mode="wrap")
+    for v in range(shape[0]):
+        for u in range(shape[1]):
+            (y, b), (x, a) = divmod(v, factor), divmod(u, factor)
+            a, b = a / factor, b / factor
+            four = wrapped[y : y + 2, x : x + 2].astype(float)
+            expected = 1 + 3 * (np.array([1 - b, b]) @ four @ np.array([1 - a, a]))
+            assert out[v, u] == pytest.approx(expected, abs=1e-5)
