@@ -155,8 +155,9 @@ def convex_hull(points: np.ndarray) -> Manifold:
     By Qhull: manifold3d's own quickhull bends hulls of many nearly coplanar points (up to a millimetre, measured).
     """
     hull = ConvexHull(points)
-    corners, faces = np.unique(hull.simplices, return_inverse=True)
-    faces = faces.reshape(-1, 3)
+    used = np.zeros(len(points), dtype=bool)
+    used[hull.simplices] = True
+    corners, faces = np.flatnonzero(used), (np.cumsum(used) - 1)[hull.simplices]
     normals = _cross_products(points[hull.simplices])
     inward = np.einsum("ij,ij->i", normals, hull.equations[:, :3]) < 0
     faces[inward] = faces[inward][:, ::-1]
@@ -237,7 +238,9 @@ def z_up(points: np.ndarray) -> np.ndarray:
 
 
 def _cross_products(triangles: np.ndarray) -> np.ndarray:
-    return np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    ax, ay, az = (triangles[:, 1] - triangles[:, 0]).T
+    bx, by, bz = (triangles[:, 2] - triangles[:, 0]).T
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)  # as np.cross, in half the time
 
 
 def _tetrahedron_volumes(triangles: np.ndarray, origin: np.ndarray) -> np.ndarray:

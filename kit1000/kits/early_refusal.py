@@ -13,9 +13,9 @@ from functools import cached_property
 import numpy as np
 
 from kit1000.kits.cavity import SAGITTA
-from kit1000.kits.goals import is_goal
+from kit1000.kits.goals import is_goal, is_near_goal
 from kit1000.kits.height_fields import HeightField, grown, lower_envelope
-from kit1000.kits.loose_fits import is_near_goal, poses_in_own_slot
+from kit1000.kits.loose_fits import poses_in_own_slot
 from kit1000.kits.prepared import PreparedPart, height_limit
 from kit1000.kits.seating import BISECTION_STEP, SEATED_LIMIT, wrong_poses
 from kit1000.numerics.compiled import compiled

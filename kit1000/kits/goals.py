@@ -17,7 +17,7 @@ from manifold3d import CrossSection, JoinType, Manifold
 
 from kit1000.kits.face import RestingFace, resting_faces
 from kit1000.kits.height_fields import polar_relief
-from kit1000.kits.seating import SEATED_LIMIT
+from kit1000.kits.seating import SEATED_LIMIT, rotation_limit
 from kit1000.kits.shadows import AREA_TOLERANCE, PartShadows, Shadow, shadow_below
 from kit1000.mesh import Mesh, solid_from_mesh
 from kit1000.numerics.linear_algebra import length, matmul
@@ -32,6 +32,8 @@ ROTATION_ORDERS = tuple(range(36, 1, -1))  # n of the yaws of 360 degrees / n th
 MAX_RELIEF_DIFFERENCE = 0.15  # share by which the reliefs of a candidate may differ on the coarse grid
 ALIGN_RANGE = np.radians(4.5)  # [rad] of the fine search for a yaw; the coarse grid has steps of 3 degrees
 NEAR_GOAL_ANGLE = np.radians(1)  # up to which a pose counts as a goal
+NEAR_GOAL_SHIFT = 5e-3  # [m] a pose nearer to a goal than this and than `rotation_limit` is no other pose
+SHIFT_PER_CLEARANCE = 2.0  # the same shift for each metre of clearance
 SAME_GOAL_ANGLE, SAME_GOAL_SHIFT = np.radians(1.0), 0.2e-3  # goals closer than both are one goal
 
 
@@ -272,19 +274,37 @@ def _same_goal(a: Pose, b: Pose, axis: FreeAxis | None) -> bool:
 
 
 def nearest_about_axis(pose: Pose, goal: Pose, axis: FreeAxis) -> Pose:
-    """The goal rotated about the free axis to the orientation nearest to that of the pose (twist decomposition)."""
-    w, *v = (pose @ goal.inverse()).wxyz
-    angle = 2 * np.arctan2(matmul(v, axis.direction), w)
-    about = Pose.from_translation(axis.point) @ Pose.from_rotvec(angle * axis.direction)
+    """Goals, one or a batch, rotated about the free axis to the orientation nearest to that of the pose.
+
+    By the twist decomposition of the rotation between them.
+    """
+    wxyz = (pose @ goal.inverse()).wxyz
+    angle = 2 * np.arctan2(matmul(wxyz[..., 1:], axis.direction), wxyz[..., 0])
+    about = Pose.from_translation(axis.point) @ Pose.from_rotvec(angle[..., None] * axis.direction)
     return about @ Pose.from_translation(-axis.point) @ goal
 
 
 def is_goal(pose: Pose, slot: Slot, max_angle: float | None = None) -> bool:
     """Whether a pose is a goal up to the free axis, within 1 mm and NEAR_GOAL_ANGLE (or a larger `max_angle` [rad])."""
-    limit = max(NEAR_GOAL_ANGLE, max_angle or 0.0)
-    for goal in slot.goals:
-        nearest = goal if slot.free_axis is None else nearest_about_axis(pose, goal, slot.free_axis)
-        shift = length(pose.xyz - nearest.xyz)
-        if quaternion_angle(pose.wxyz, nearest.wxyz) < limit and shift < SEATED_LIMIT / 3:
-            return True
-    return False
+    return _is_near_some_goal(pose, slot, max(NEAR_GOAL_ANGLE, max_angle or 0.0), SEATED_LIMIT / 3)
+
+
+def near_goal_limits(clearance: float) -> tuple[float, float]:
+    """The angle [rad] and the shift [m] up to which a pose is near a goal: 10 degrees and 5 mm, more in wide slots.
+
+    clearance: of the slot [m].
+    """
+    return rotation_limit(clearance), max(NEAR_GOAL_SHIFT, SHIFT_PER_CLEARANCE * clearance)
+
+
+def is_near_goal(pose: Pose, slot: Slot, margin: float = 0.0) -> bool:
+    """Whether a pose is within both limits of a goal, up to the free axis; the limit of shift grows by a margin [m]."""
+    most_angle, most_shift = near_goal_limits(slot.clearance)
+    return _is_near_some_goal(pose, slot, most_angle, most_shift + margin)
+
+
+def _is_near_some_goal(pose: Pose, slot: Slot, most_angle: float, most_shift: float) -> bool:
+    nearest = slot.goals if slot.free_axis is None else nearest_about_axis(pose, slot.goals, slot.free_axis)
+    is_turned_little = quaternion_angle(pose.wxyz, nearest.wxyz) < most_angle
+    shifts = nearest.xyz[is_turned_little] - pose.xyz
+    return any(length(shift) < most_shift for shift in shifts)

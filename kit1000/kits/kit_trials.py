@@ -28,7 +28,6 @@ from kit1000.kits.seating import (
     seating_result,
     wrong_poses,
 )
-from kit1000.mesh import Mesh
 from kit1000.parts.family import FILE
 from kit1000.pose import Pose
 from kit1000.values import Part, Slot
@@ -130,42 +129,41 @@ def check_pair(part: PreparedPart, kit: PreparedKit) -> PairCheck:
 
     A loose fit is no failure here: it is reported, and the caller decides.
     """
-    mesh, slot = part.mesh, kit.slot
+    slot, inserted = kit.slot, InsertedPart.of(part.mesh, kit.design)
     for goal in slot.goals:
-        if not seating_at(mesh, kit, goal, goal).strict:
+        if not seating_at(InsertedPart.of(part.mesh, goal), kit, goal, goal).strict:
             raise Redraw(NOT_SEATED)
     for name, pose in wrong_poses(slot):
-        if not is_goal(pose, slot) and fits_at(mesh, kit, pose):
+        if not is_goal(pose, slot) and fits_at(inserted, kit, pose):
             raise Redraw(f"seats when {name}")
-    yaw = keyedness(mesh, kit)
+    yaw = keyedness(inserted, kit)
     for pose in poses_beyond_keyedness(slot, yaw):
-        if not is_goal(pose, slot, yaw) and fits_at(mesh, kit, pose):
+        if not is_goal(pose, slot, yaw) and fits_at(inserted, kit, pose):
             raise Redraw("seats when turned past its keyedness")
     return PairCheck(yaw, find_loose_fit(part, kit) is not None)
 
 
-def seating_at(mesh: Mesh, kit: PreparedKit, pose: Pose, goal: Pose, enough: float = np.inf) -> SeatingResult:
-    """The seating test of a part in its kit for a pose meant for a goal: the insertion axis is +z at the goal.
+def seating_at(part: InsertedPart, kit: PreparedKit, pose: Pose, goal: Pose, enough: float = np.inf) -> SeatingResult:
+    """The seating test of a part, inserted as at a goal, for a pose that is meant for this goal.
 
     enough: as for `contact_offset`.
     """
-    part = InsertedPart.of(mesh, goal)
     offset = contact_offset(part, kit.mesh, pose, kit.features, enough)
     return seating_result(offset, part, pose, goal, kit.slot.depth, kit.slot.clearance)
 
 
-def fits_at(mesh: Mesh, kit: PreparedKit, pose: Pose) -> bool:
+def fits_at(part: InsertedPart, kit: PreparedKit, pose: Pose) -> bool:
     """Whether contact alone seats a part in a pose that is meant for the design pose, at whatever rotation."""
-    return seating_at(mesh, kit, pose, kit.slot.goals[0], enough=SEATED_LIMIT).fits
+    return seating_at(part, kit, pose, kit.design, enough=SEATED_LIMIT).fits
 
 
-def keyedness(mesh: Mesh, kit: PreparedKit) -> float | None:
+def keyedness(part: InsertedPart, kit: PreparedKit) -> float | None:
     """The smallest yaw from the design pose at which the part seats in neither sense [rad]; None if there is none."""
     if turns_freely(kit.slot):
         return None
-    design = kit.slot.goals[0]
     for yaw in np.arange(YAW_STEP, np.pi, YAW_STEP):
-        if not any(fits_at(mesh, kit, rotated_about_centroid(design, np.array([0, 0, s * yaw]))) for s in (1, -1)):
+        turned = rotated_about_centroid(kit.design, np.array([[0, 0, yaw], [0, 0, -yaw]]))
+        if not (fits_at(part, kit, turned[0]) or fits_at(part, kit, turned[1])):
             return float(yaw)
     return None
 

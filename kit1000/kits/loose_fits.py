@@ -22,15 +22,15 @@ from manifold3d import Manifold
 
 from kit1000.kits.contact import ContactFeatures, contact_features, vertical_contact_offset
 from kit1000.kits.face import RestingFace
-from kit1000.kits.goals import nearest_about_axis
+from kit1000.kits.goals import is_near_goal, near_goal_limits
 from kit1000.kits.height_fields import HeightField
 from kit1000.kits.prepared import PreparedKit, PreparedPart, RestingPart, height_limit, underside_points
-from kit1000.kits.seating import BISECTION_STEP, rotation_limit
+from kit1000.kits.seating import BISECTION_STEP
 from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.numerics.compiled import compiled
-from kit1000.numerics.linear_algebra import length, matmul
+from kit1000.numerics.linear_algebra import matmul
 from kit1000.numerics.trigonometry import cosine, sine
-from kit1000.pose import Pose, quaternion_angle
+from kit1000.pose import Pose
 from kit1000.values import Slot
 
 YAWS = np.radians(np.arange(0, 360, 5.0))
@@ -41,8 +41,6 @@ REFINE_STEP = 0.5e-3  # [m] between the shifts tested exactly about a candidate 
 REFINED_SHIFTS = REFINE_STEP * np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)])
 MOST_LIFT = 0.45  # of the depth: the lowest points of a part must be in the cavity
 TRAY_SIDES = np.array([36e-3, 29e-3])  # [m] of a block: most parts, seen along the insertion axis, are no larger
-NEAR_GOAL_SHIFT = 5e-3  # [m] a pose nearer to a goal than this and than `rotation_limit` is no other pose
-SHIFT_PER_CLEARANCE = 2.0  # the same shift for each metre of clearance
 
 # The search just beyond the limits about a goal. Its state is (yaw, x, y, tilt about x, tilt about y).
 TURNED_SHARE = 1.0001  # of the limit: yaw from a goal at which the search begins
@@ -112,25 +110,6 @@ def poses_in_own_slot(part: PreparedPart, field: HeightField, slot: Slot) -> Ite
 def turns_freely(slot: Slot) -> bool:
     """Whether a part is at a goal at every yaw: its free axis is the insertion axis."""
     return slot.free_axis is not None and bool(abs(slot.free_axis.direction[2]) > 0.5)
-
-
-def near_goal_limits(clearance: float) -> tuple[float, float]:
-    """The angle [rad] and the shift [m] up to which a pose is near a goal: 10 degrees and 5 mm, more in wide slots.
-
-    clearance: of the slot [m].
-    """
-    return rotation_limit(clearance), max(NEAR_GOAL_SHIFT, SHIFT_PER_CLEARANCE * clearance)
-
-
-def is_near_goal(pose: Pose, slot: Slot, margin: float = 0.0) -> bool:
-    """Whether a pose is within both limits of a goal, up to the free axis; the limit of shift grows by a margin [m]."""
-    most_angle, most_shift = near_goal_limits(slot.clearance)
-    for goal in slot.goals:
-        nearest = goal if slot.free_axis is None else nearest_about_axis(pose, goal, slot.free_axis)
-        angle = float(quaternion_angle(pose.wxyz, nearest.wxyz))
-        if angle < most_angle and length(pose.xyz - nearest.xyz) < most_shift + margin:
-            return True
-    return False
 
 
 def _faces_near_goals(part: PreparedPart, slot: Slot) -> Iterator[tuple[RestingPart, float]]:

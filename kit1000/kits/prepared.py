@@ -69,7 +69,7 @@ class PreparedKit:
     """A kit with its contact features from above and its height fields."""
 
     def __init__(self, kit: Kit) -> None:
-        self.slot, self.mesh = kit.slot, kit.mesh
+        self.slot, self.mesh, self.design = kit.slot, kit.mesh, kit.slot.goals[0]
         self.features = contact_features(kit.mesh, np.eye(3), np.zeros(3), 1.0)
 
     @cached_property

@@ -148,13 +148,15 @@ def is_rotation_seated(pose: Pose, goal: Pose, clearance: float = 0.0) -> bool:
 def wrong_poses(slot: Slot) -> Iterator[tuple[str, Pose]]:
     """(description, pose): the design pose lifted, shifted and tilted by errors at which no part may seat."""
     design, shift = slot.goals[0], slot.clearance + SEATED_LIMIT
+    directions = np.stack([cosine(DIRECTIONS), sine(DIRECTIONS), np.zeros(len(DIRECTIONS))], axis=1)
     yield "lifted 3 mm", Pose.from_translation(np.array([0, 0, SEATED_LIMIT])) @ design
-    for angle in DIRECTIONS:
-        direction = np.array([cosine(angle), sine(angle), 0.0])
-        yield "moved clearance + 3 mm across", Pose.from_translation(shift * direction) @ design
-        yield "tilted 20 degrees", rotated_about_centroid(design, WRONG_TILT * direction)
+    moved = Pose.from_translation(shift * directions) @ design
+    tilted = rotated_about_centroid(design, WRONG_TILT * directions)
+    for k in range(len(DIRECTIONS)):
+        yield "moved clearance + 3 mm across", moved[k]
+        yield "tilted 20 degrees", tilted[k]
 
 
 def rotated_about_centroid(pose: Pose, rotvec: np.ndarray) -> Pose:
-    """The pose rotated about the part's origin, its centroid, by a rotation vector (3,) [rad] in the kit frame."""
+    """The pose rotated about the part's origin, its centroid, by rotation vectors (..., 3) [rad] in the kit frame."""
     return Pose((Pose.from_rotvec(rotvec) @ Pose(pose.wxyz, np.zeros(3))).wxyz, pose.xyz)

@@ -13,7 +13,7 @@ from kit1000.kits.goals import Design, find_goals
 from kit1000.kits.kit import make_kit
 from kit1000.kits.kit_trials import ANY_FACE, PairCheck, check_pair, fits_at, keyedness
 from kit1000.kits.prepared import PreparedKit, PreparedPart
-from kit1000.kits.seating import rotated_about_centroid, wrong_poses
+from kit1000.kits.seating import InsertedPart, rotated_about_centroid, wrong_poses
 from kit1000.pose import Pose
 from kit1000.symmetry import Symmetry
 from kit1000.values import Kit, Part
@@ -103,7 +103,8 @@ def test_keyedness_of_a_box_is_that_of_a_rotating_rectangle(x: float, y: float) 
         beyond = np.maximum(np.abs(rotated) - np.array([x, y]) / 2 * 1e-3, 0)
         out = np.maximum(out, np.linalg.norm(beyond, axis=1))
     brute = yaws[np.argmax(out > kit.slot.clearance)]
-    measured = keyedness(part.mesh, PreparedKit(kit))
+    prepared = PreparedKit(kit)
+    measured = keyedness(InsertedPart.of(part.mesh, prepared.design), prepared)
     assert measured is not None
     assert brute - 1e-3 <= measured <= brute + STEP + 1e-3
 
@@ -142,11 +143,13 @@ def test_keyedness_is_the_yaw_that_jams_in_both_senses() -> None:
     radii = 14 + 6 * angles / (2 * np.pi)
     snail = CrossSection([np.stack([radii * np.cos(angles), radii * np.sin(angles)], 1)])
     part, kit = pair_of(Manifold.extrude(snail, 20))
-    prepared, design = PreparedKit(kit), kit.slot.goals[0]
+    prepared = PreparedKit(kit)
+    design = prepared.design
+    inserted = InsertedPart.of(part.mesh, design)
     yaws = np.arange(STEP, np.pi, STEP)
     jams = [
-        next(yaw for yaw in yaws if not fits_at(part.mesh, prepared, rotated_about_centroid(design, sign * yaw * Z)))
+        next(yaw for yaw in yaws if not fits_at(inserted, prepared, rotated_about_centroid(design, sign * yaw * Z)))
         for sign in (1, -1)
     ]
     assert max(jams) > 5 * min(jams)
-    assert keyedness(part.mesh, prepared) == pytest.approx(max(jams), abs=1e-9)
+    assert keyedness(inserted, prepared) == pytest.approx(max(jams), abs=1e-9)

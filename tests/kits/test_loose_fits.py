@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from manifold3d import CrossSection, Manifold
 
-from kit1000.kits.goals import Design, find_goals
-from kit1000.kits.loose_fits import MOST_TILT, find_fit_in_other_slot, find_loose_fit, is_near_goal, turned_matrix
+from kit1000.kits.goals import Design, find_goals, is_near_goal
+from kit1000.kits.loose_fits import MOST_TILT, find_fit_in_other_slot, find_loose_fit, turned_matrix
 from kit1000.kits.prepared import PreparedKit, PreparedPart
 from kit1000.kits.seating import BISECTION_STEP, InsertedPart, contact_offset
 from kit1000.mesh import Mesh, solid_from_mesh

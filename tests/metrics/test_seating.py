@@ -162,7 +162,7 @@ def test_results_equal_those_of_single_trials(name: str) -> None:
     goal, part, kit = truth.slot.goals[0], sample_part(name).mesh, PreparedKit(sample_kit(name))
     poses = [displaced(goal, error) for error in random_errors(QUICK.index(name), 30)]
     results = results_of(*((truth, pose) for pose in poses), exact="never")
-    single = [seating_at(part, kit, pose, goal) for pose in poses]
+    single = [seating_at(InsertedPart.of(part, goal), kit, pose, goal) for pose in poses]
     assert 0 < sum(one.seated for one in single) < len(single)
     assert results.seated.tolist() == [one.seated for one in single]
     assert results.strict.tolist() == [one.strict for one in single]
