@@ -189,7 +189,7 @@ CHANGES: dict[tuple[str, str], tuple[tuple[str, str], ...]] = {
             "rng.integers(len(slot.goals)), rng.uniform(0, 6)",
         ),
     ),
-    ("kit1000/queries/pivots.py", "queries/pivots"): (
+    ("kit1000/queries/pivots.py", "queries/guesses"): (
         ("(ordered[first] + ordered[last]) / 2", "points.mean(0)"),
         ("PIVOT_DECIMALS = 4", "PIVOT_DECIMALS = 3"),
         ("LEFT_OUT = 10 ", "LEFT_OUT = 5 "),
