@@ -231,10 +231,10 @@ def _run_jobs(
     costs: by id of a job, in the cost of one part, assembly or scene; 1 if None.
     """
     records: dict[str, Record] = {}
+    bar.set_description_str(what)
     for record in parallel_map(function, jobs):
         _check_files_present(jobs[0].root, record)
         records[record["id"]] = record
-        bar.set_description_str(f"{what} {len(records)}/{len(jobs)}", refresh=False)
         bar.update(SECONDS[what] * (1.0 if costs is None else costs[record["id"]]))
     return records
 
