@@ -14,8 +14,6 @@ from typing import Any
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError, InternalError, Kit1000Error, did_you_mean, failure_text
 from kit1000.files import read_json, sha256
-from kit1000.perception.segmentation import predicted_masks
-from kit1000.perception.segmentation.predicted_masks import MASKS_WEIGHTS, OnPredictedMasks
 from kit1000.prediction.catalog import TABLES, Method, all_methods
 from kit1000.prediction.imported_sources import hash_of, imported_modules
 from kit1000.predictor import Predictor, module_and_object, resolved
@@ -72,6 +70,8 @@ def make_predictor(method: Method, dataset: Dataset, seed: int) -> Predictor:
             raise InternalError(f"{method.make}: {failure_text(error)}") from error
     if method.masks == "given":
         return predictor
+    from kit1000.perception.segmentation.predicted_masks import OnPredictedMasks
+
     return OnPredictedMasks(predictor, dataset.summary["config"]["scale"], dataset.summary)
 
 
@@ -141,7 +141,7 @@ def source_hash(method: Method) -> str:
     For your own module, all that it imports from the same package or folder counts too. The hash tells rows of one code
     from rows of another, also in a checkout with changes and for code that is in no checkout: a commit could not.
     """
-    entries = [module_and_object(method.make)[0], *([predicted_masks.__name__] if method.masks == "predicted" else [])]
+    entries = [module_and_object(method.make)[0]]
     folder = _source_folder(entries[0])
     beside = {path.stem: path for path in folder.glob("*.py")}
     beside |= {path.parent.name: path.parent for path in folder.glob("*/__init__.py")}
@@ -149,7 +149,11 @@ def source_hash(method: Method) -> str:
     stems = {stem.name: stem for stem in method.weights.values()}
     if len(stems) < len(method.weights):  # the weights of all runs have one name
         stems = {f"{argument}:{stem.name}": stem for argument, stem in method.weights.items()}
-    stems |= {name: WEIGHTS / name for name in MASKS_WEIGHTS if method.masks == "predicted"}
+    if method.masks == "predicted":
+        from kit1000.perception.segmentation.predicted_masks import MASKS_WEIGHTS, OnPredictedMasks
+
+        entries.append(OnPredictedMasks.__module__)
+        stems |= {name: WEIGHTS / name for name in MASKS_WEIGHTS}
     files = imported_modules(entries, roots)
     files |= {name: stem.with_name(f"{stem.name}.safetensors") for name, stem in stems.items()}
     return hash_of(files)
