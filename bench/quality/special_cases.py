@@ -30,7 +30,7 @@ from kit1000.perception import image_kinds
 from kit1000.perception.image_kinds import COST
 from kit1000.pose import Pose
 from kit1000.prediction.making import make_predictor, method_of
-from kit1000.registration import contradictions, kit_volume, method, rank
+from kit1000.registration import kit_volume, method, rank, search
 from kit1000.registration.rank import Fit
 
 METHOD = "registration-completed"
@@ -73,7 +73,7 @@ CASES: dict[str, tuple[tuple[str, ...], Change]] = {
     "coarse weight": (("snap", "place", "snap-d415", "place-d415"), constant(method, "COARSE_WEIGHT", 0.0)),
     "own part weight of the choice": (
         ("snap", "place", "snap-d415"),
-        constant(contradictions, "CHOICE_PART_WEIGHT", contradictions.PART_WEIGHT),
+        constant(search, "CHOICE_PART_WEIGHT", search.PART_WEIGHT),
     ),
     "posterior over assignments": (("place", "place-d415"), constant(method, "assigned", likeliest_assignment)),
     "learned placement": (("snap-d415", "place-d415"), constant(method.PartRegistration, "_placed", lambda s, f, i: f)),

@@ -17,10 +17,10 @@ from scipy.ndimage import distance_transform_edt
 from kit1000.dataset.reader import Dataset
 from kit1000.pictures.shading import contact_sheet
 from kit1000.pose import Pose, unit_vector
-from kit1000.registration.contradictions import INSIDE, TOLERANCE, KitHeights, contradictions
 from kit1000.registration.geometry.cavity import VOXEL, Cavity, cells_at
 from kit1000.registration.predictor import Registration
 from kit1000.registration.rank import Fit
+from kit1000.registration.search import INSIDE, TOLERANCE, KitHeights, contradictions
 from kit1000.values import Query
 from kit1000.voxels import Grid, Volume, resample
 

@@ -16,8 +16,7 @@ import numpy as np
 from PIL import Image
 
 from kit1000.dataset.reader import Dataset
-from kit1000.perception.completion.part_network import CODE, SHAPE, FramedPart, framed
-from kit1000.perception.completion.parts import PartCompleter
+from kit1000.perception.completion.parts import CODE, SHAPE, FramedPart, PartCompleter, framed
 from kit1000.perception.observed.occupancy import filled_share
 from kit1000.perception.observed.parts import ObservedPart
 from kit1000.values import FIRST_PART_LABEL, Query, Truth

@@ -22,7 +22,7 @@ from scipy.ndimage import binary_dilation, map_coordinates, uniform_filter
 from kit1000.camera import Camera
 from kit1000.numerics.elimination import solve_positive
 from kit1000.numerics.linear_algebra import length, matmul
-from kit1000.perception.placement.channels import CELL, Channel
+from kit1000.perception.placement import CELL, Channel
 from kit1000.pose import Pose
 from kit1000.registration.geometry.height_maps import RAY_CELL, cavity_heights, trace
 from kit1000.registration.part_volume import SLIMMER, WIDER, PartShape

@@ -13,9 +13,8 @@ import numpy as np
 
 from kit1000.perception.calibration import CameraEstimate
 from kit1000.perception.image_kinds import COST, IDEAL, CostTerms, ImageKind
-from kit1000.perception.placement.channels import CELLS
+from kit1000.perception.placement import CELLS
 from kit1000.pose import Pose
-from kit1000.registration.contradictions import Contradictions, KitHeights, contradictions
 from kit1000.registration.geometry.cavity import Cavity
 from kit1000.registration.geometry.height_maps import outline_cost
 from kit1000.registration.image_refine import ImageFit, plate_patch, refine_in_image
@@ -27,6 +26,9 @@ from kit1000.registration.refine import Intervals, refine_within
 from kit1000.registration.search import (
     UP,
     Candidate,
+    Contradictions,
+    KitHeights,
+    contradictions,
     find_candidates,
     lies_on,
     tilted,

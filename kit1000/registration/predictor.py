@@ -17,8 +17,7 @@ from kit1000.pose import Pose
 from kit1000.predictor import PredictedMotion, resolved
 from kit1000.registration.method import Scene, TrueScene, fits_in
 from kit1000.registration.prepared_image import Networks, PreparedImage
-from kit1000.registration.rank import Fit, confidence
-from kit1000.registration.several_images import agreed, from_elsewhere
+from kit1000.registration.rank import Fit, agreed, confidence, from_elsewhere
 from kit1000.values import Query, TrueGeometry
 
 SOURCES = ("depth", "columns", "truth")

@@ -21,7 +21,7 @@ from kit1000.editor.scene import EditedScene
 from kit1000.errors import InputError
 from kit1000.perception.sensor_facts import SensorFacts, sensor_of
 from kit1000.pose import Pose
-from kit1000.registration.several_images import from_elsewhere
+from kit1000.registration.rank import from_elsewhere
 from kit1000.submission import Predictions, check, read_submission, write_submission
 from kit1000.submission.manifest import Manifest
 from kit1000.values import ASSEMBLY_LABEL, Prediction

@@ -9,8 +9,7 @@ import pytest
 
 from kit1000.camera import look_at
 from kit1000.perception.calibration import flattened, unbent
-from kit1000.perception.calibration.bending import table_residuals
-from kit1000.perception.calibration.table import correlated_in, table_plane
+from kit1000.perception.calibration.table import correlated_in, table_plane, table_residuals
 from kit1000.perception.restoration import calibrated_image
 from kit1000.perception.sensor_facts import simulated_sensor
 from kit1000.rng import stream

@@ -17,8 +17,15 @@ from baselines.training.tasks.hole_filling.views import CROPS, example_of
 from baselines.training.tasks.noisy_images import scanned_view
 from kit1000.dataset.reader import Dataset
 from kit1000.perception.restoration.disparity import depths
-from kit1000.perception.restoration.network import Mixture, RestorationConfig, RestorationNet
-from kit1000.perception.restoration.restorer import UNIT, HoleFiller, hole_inputs, holes
+from kit1000.perception.restoration.restorer import (
+    UNIT,
+    HoleFiller,
+    Mixture,
+    RestorationConfig,
+    RestorationNet,
+    hole_inputs,
+    holes,
+)
 from kit1000.perception.restoration.rules import closed_gaps
 from kit1000.perception.sensor_facts import simulated_sensor
 from kit1000.pose import Pose

@@ -8,7 +8,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kit1000.perception.placement.channels import CELLS, Channel
+from kit1000.perception.placement import CELLS, Channel
 from kit1000.perception.placement.network import (
     HOLD,
     LEVER,

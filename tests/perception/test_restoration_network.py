@@ -28,8 +28,14 @@ from kit1000.perception.restoration.disparity import (
     padded_box,
     shifted_box,
 )
-from kit1000.perception.restoration.network import SIDE, Mixture, RestorationConfig, RestorationNet
-from kit1000.perception.restoration.restorer import DISPARITY_STEP, Restorer
+from kit1000.perception.restoration.restorer import (
+    DISPARITY_STEP,
+    SIDE,
+    Mixture,
+    RestorationConfig,
+    RestorationNet,
+    Restorer,
+)
 from kit1000.perception.restoration.rules import closed_gaps, restored_edges
 from kit1000.perception.sensor_facts import simulated_sensor
 from kit1000.registration.predictor import Registration

@@ -19,8 +19,15 @@ from kit1000.metrics.segmentation import mean_iou
 from kit1000.perception.networks.weight_files import save_weights
 from kit1000.perception.restoration.restorer import Restorer
 from kit1000.perception.segmentation.instances import find_bodies, segmented
-from kit1000.perception.segmentation.network import CentresConfig, CentresNet, Votes
-from kit1000.perception.segmentation.part_finder import MIDDLES_APART, PartFinder, gathered, inputs_of
+from kit1000.perception.segmentation.part_finder import (
+    MIDDLES_APART,
+    CentresConfig,
+    CentresNet,
+    PartFinder,
+    Votes,
+    gathered,
+    inputs_of,
+)
 from kit1000.perception.segmentation.predicted_masks import MASKS_WEIGHTS
 from kit1000.perception.sensor_facts import simulated_sensor
 from kit1000.pose import Pose

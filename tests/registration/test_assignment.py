@@ -20,7 +20,7 @@ from kit1000.pose import Pose
 from kit1000.registration.geometry.cavity import Cavity
 from kit1000.registration.method import FitSearch
 from kit1000.registration.predictor import Registration
-from kit1000.registration.rank import APART, DOUBTFUL, Fit, assigned, least_costs, plate_posterior, ranked
+from kit1000.registration.rank import DOUBTFUL, PLATES_APART, Fit, assigned, least_costs, plate_posterior, ranked
 from kit1000.sim.layout import UPRIGHT_SHARE
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL
 
@@ -126,5 +126,5 @@ def test_a_place_searches_the_other_parts_of_its_image_and_a_snap_does_not(
 
 def test_a_cavity_is_found_again_within_a_part_of_the_width_of_a_plate() -> None:
     middles = [np.zeros(3), np.array([0.1, 0.0, 0.0])]
-    found = [fit(0.1 + 0.5 * APART, 2e-3), fit(0.1, 3e-3), fit(0.3, 1e-3)]
+    found = [fit(0.1 + 0.5 * PLATES_APART, 2e-3), fit(0.1, 3e-3), fit(0.3, 1e-3)]
     np.testing.assert_array_equal(least_costs(found, middles), [np.inf, 2e-3])

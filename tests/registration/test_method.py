@@ -23,8 +23,8 @@ from kit1000.registration.geometry.cavity import VOXEL, Cavity, find_cavity, pla
 from kit1000.registration.kit_volume import DEEPER, LEAST_REGION, TRUE_NOISE, WIDER, TrueKits, find_cavities
 from kit1000.registration.predictor import Registration
 from kit1000.registration.prepared_image import Networks
+from kit1000.registration.rank import difference
 from kit1000.registration.search import LEAST_SIDE
-from kit1000.registration.several_images import difference
 from kit1000.rng import stream
 from kit1000.sim.sensors import SENSORS, sense
 from kit1000.testing import check_predictor, moved_query, moved_truth

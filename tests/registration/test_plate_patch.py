@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kit1000.perception.placement.channels import CELL, CELLS, Channel
+from kit1000.perception.placement import CELL, CELLS, Channel
 from kit1000.pose import Pose
 from kit1000.registration.image_refine import PlatePatch, plate_patch
 from kit1000.registration.prepared_image import RestoredImage

@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 from numpy.typing import ArrayLike
 
 from kit1000.pose import Pose, random_quaternions
-from kit1000.registration.rank import Fit
+from kit1000.registration.rank import ALONE, ARM, COMPANY, NEAR, Fit, agreed, difference, mean_motion
 from kit1000.registration.search import Candidate
-from kit1000.registration.several_images import ALONE, ARM, COMPANY, NEAR, agreed, difference, mean_motion
 from tests.samples.strategies import poses
 
 MIDDLE = np.array([0.05, -0.17, 0.02])

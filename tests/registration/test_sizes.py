@@ -11,8 +11,7 @@ from scipy.ndimage import distance_transform_edt
 from kit1000.camera import Camera, look_at
 from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.metrics.volumes import occupancy_iou
-from kit1000.perception.completion.part_network import framed
-from kit1000.perception.completion.parts import CompletedPart
+from kit1000.perception.completion.parts import CompletedPart, framed
 from kit1000.perception.observed.parts import HALF_WIDTH, ObservedPart
 from kit1000.pose import Pose, random_quaternions
 from kit1000.queries.guesses import MAX_OFFSET

@@ -8,8 +8,7 @@ import trimesh
 from kit1000.camera import Camera, look_at
 from kit1000.mesh import Mesh
 from kit1000.perception.completion.kits import ReliefCompleter
-from kit1000.perception.completion.part_network import FramedPart
-from kit1000.perception.completion.parts import FillLogits, PartCompleter
+from kit1000.perception.completion.parts import FillLogits, FramedPart, PartCompleter
 from kit1000.perception.observed.kits import CompletedRelief, SeenRelief, true_depths
 from kit1000.perception.observed.occupancy import filled_share
 from kit1000.pose import Pose

@@ -5,7 +5,6 @@ The table is part of the specification of every scene (docs/reference/sensors.md
 depths that is left on the table) and `table_top` (which pixels look at the table).
 """
 
-from kit1000.perception.calibration.bending import unbent
 from kit1000.perception.calibration.camera_pose import (
     OUTLINE,
     CameraEstimate,
@@ -13,6 +12,6 @@ from kit1000.perception.calibration.camera_pose import (
     calibrated_by,
     camera_estimate_by,
 )
-from kit1000.perception.calibration.table import flattened
+from kit1000.perception.calibration.table import flattened, unbent
 
 __all__ = ["OUTLINE", "CameraEstimate", "calibrated", "calibrated_by", "camera_estimate_by", "flattened", "unbent"]

@@ -1,35 +1,296 @@
-"""A part completed by the network: how likely each cell is filled, and the solid of the likely ones."""
+"""The network that completes parts, its frame (a grid on the table that looks away from the camera), and its use.
+
+The x axis of the grid points away from the camera along the table, its z axis up from the table; its middle lies below
+the middle of what is seen of the part. So the scene may stand anywhere, at any yaw, and the input is the same. A part
+larger than those that the network learned from is shown to it at their size, with its scene. Height layers are
+channels, so that 2-D convolutions complete a 3-D shape: 2 x 2 cells of all layers are the channels of a pixel
+(`packed`). B batch, C channels; features are (B, C, x, y), channels last in memory.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+import torch.nn.functional as F
+from torch import Tensor
 
+from kit1000.camera import Camera
 from kit1000.numerics.compiled import compiled
-from kit1000.perception.completion.part_network import (
-    CODE,
-    CompletionConfig,
-    CompletionNet,
-    FramedPart,
-    framed,
-    packed,
-    scale_of,
-    unpacked,
-)
+from kit1000.perception.calibration import flattened
 from kit1000.perception.networks.inference import on_cpu, on_grid
+from kit1000.perception.networks.unet import UNet
 from kit1000.perception.observed.columns import ObservedColumns
 from kit1000.perception.observed.parts import ObservedPart, PartBounds
-from kit1000.values import LabelledDepth
-from kit1000.voxels import Grid, Volume
+from kit1000.perception.observed.pixels import cropped, pixel_points
+from kit1000.pose import Pose
+from kit1000.values import LabelledDepth, View
+from kit1000.voxels import Grid, Volume, tsdf
 
+CELL = 1e-3  # [m]
+SHAPE = (80, 80, 52)
+"""Cells: they hold a part of 50 mm in any resting pose, and what its outline leaves open of its middle."""
+TRUNCATION = 5e-3  # [m]
+CODE = 127  # of a distance of one truncation; unknown cells have the code -CODE
+PACK = 2  # cells along x and along y that are channels of one pixel of the network
+OUTLIERS = 0.02  # share of the seen points that is cut off at either end of each axis
+LARGEST = np.array([64e-3, 64e-3, 52e-3])  # [m] seen extents of parts of 50 mm, of which the network learns
+TYPICAL = 43e-3  # [m] the median of the longest of these extents
+YAW_DECIMALS = 12  # of the frame: the last digit of an arctangent depends on the processor
+EXTRA = 4  # channels of place and camera
+JACCARD = 0.5  # weight of the Jaccard distance in the loss
+MIDDLE_POLAR, MIDDLE_DISTANCE = 0.8, 0.8  # [rad], [m] of the cameras, which are the origin of their channels
 TEMPERATURE = 1.35  # by which logits are divided, so that probabilities are shares; fitted to the split val
 LIKELY, LIKELY_NOISY = 0.2, -0.4  # logits above which a cell is taken as solid: there the IoU is largest (split val)
 LOGIT_STEP = 1 / 64  # to which logits are rounded: sums of float32 depend on the processor
 SEEN_FREE = -12.0  # logit of cells that are seen free
+
+
+@dataclass(frozen=True, eq=False)
+class FramedPart:
+    """What one image shows of a part, in the frame of the network."""
+
+    grid: Grid
+    codes: np.ndarray
+    """SHAPE int8: CODE times the projective distance in truncations, positive is free; unknown cells -CODE."""
+    camera: np.ndarray
+    """(2,) float32: polar angle [rad] and distance [m] of the camera from the foot of the middle."""
+
+
+def framed(
+    image: LabelledDepth, label: int, table_height: float = 0.0, flat: bool = True, scale: float = 1.0
+) -> FramedPart | None:
+    """The evidence about a part; None where no pixel of it has a return, and where it is larger than the grid.
+
+    Args:
+        image: the depth image with its masks.
+        label: of the part.
+        table_height: [m] of the table in this image.
+        flat: put the pixels of the table on its plane, see `perception.calibration.flattened`; ideal depth needs none.
+        scale: by which the scene is shrunk, so that a larger part looks as if it were of the size of those learned.
+    """
+    lowered = _shrunk(image.view, table_height, scale)
+    grid = _grid(lowered, image.labels == label)
+    if grid is None:
+        return None
+    crop = _cropped_to(grid, LabelledDepth(lowered, image.labels))
+    view = flattened(crop.view, crop.labels) if flat else crop.view
+    values = tsdf(grid, view, crop.labels == label, TRUNCATION, threads=1).values
+    codes = np.rint(CODE * np.where(np.isnan(values), np.float32(-1), values)).astype(np.int8)
+    return FramedPart(_enlarged(grid, table_height, scale), codes, _camera(lowered, grid))
+
+
+def scale_of(image: LabelledDepth, label: int, table_height: float = 0.0) -> float:
+    """Factor that shrinks the scene of a part: 1 unless it is seen to be LARGEST or more, then to a TYPICAL part.
+
+    The arguments are those of `framed`.
+    """
+    extents = _extents(_shrunk(image.view, table_height, 1.0), image.labels == label)
+    if extents is None or (extents.sizes <= LARGEST).all():
+        return 1.0
+    return float(extents.sizes.max()) / TYPICAL
+
+
+def grid_at(x: float, y: float, yaw: float) -> Grid:
+    """The grid on the table, its middle above a point [m], its x axis at a yaw [rad]."""
+    return Grid.centred(Pose.from_rotvec((0.0, 0.0, yaw), (x, y, CELL * SHAPE[2] / 2)), SHAPE, CELL)
+
+
+def _shrunk(view: View, table_height: float, scale: float) -> View:
+    """A view of the scene on a table at height 0, all lengths divided by a scale."""
+    pose = view.world_from_camera
+    foot = (pose.xyz - (0.0, 0.0, table_height)) / scale
+    return View(view.camera, Pose(pose.wxyz, foot), view.depth / np.float32(scale))
+
+
+def _enlarged(grid: Grid, table_height: float, scale: float) -> Grid:
+    """A grid in the scene of a `_shrunk` view, in the scene as it is."""
+    pose = grid.world_from_grid
+    foot = scale * pose.xyz + (0.0, 0.0, table_height)
+    return replace(grid, world_from_grid=Pose(pose.wxyz, foot), voxel_size=scale * grid.voxel_size)
+
+
+class _Extents(NamedTuple):
+    """Extents of what is seen of a part, without the OUTLIERS, in a world whose table is at height 0."""
+
+    yaw: float
+    """[rad] of the direction away from the camera."""
+    middle: np.ndarray
+    """(3,) [m] of the box in that direction."""
+    sizes: np.ndarray
+    """(3,) [m] away, across, and up from the table."""
+
+
+def _extents(view: View, mask: np.ndarray) -> _Extents | None:
+    """Extents of the pixels (H, W) of a part; None where there is none."""
+    points = pixel_points(view, mask)
+    if len(points) == 0:
+        return None
+    away = points.mean(0)[:2] - view.world_from_camera.xyz[:2]
+    yaw = round(float(np.arctan2(away[1], away[0])), YAW_DECIMALS)
+    rotated = Pose.from_rotvec((0.0, 0.0, -yaw)).apply(points)
+    low, high = np.percentile(rotated, [100 * OUTLIERS, 100 * (1 - OUTLIERS)], axis=0)
+    return _Extents(yaw, (low + high) / 2, high - (*low[:2], 0.0))
+
+
+def _grid(view: View, mask: np.ndarray) -> Grid | None:
+    """The grid of the pixels (H, W) of a part, in a world whose table is at height 0; None where it holds no part."""
+    extents = _extents(view, mask)
+    if extents is None or (extents.sizes > CELL * np.array(SHAPE)).any():
+        return None
+    x, y, _ = Pose.from_rotvec((0.0, 0.0, extents.yaw)).apply((*extents.middle[:2], 0.0))
+    return grid_at(float(x), float(y), extents.yaw)
+
+
+def _cropped_to(grid: Grid, image: LabelledDepth) -> LabelledDepth:
+    """The image, cropped to the pixels that a grid projects to."""
+    return cropped(image, pixel_box(grid, image.view.camera, image.view.world_from_camera))
+
+
+def packed(volume: np.ndarray) -> np.ndarray:
+    """(nx, ny, nz) -> (nx / 2, ny / 2, 4 nz): the layers of PACK x PACK cells side by side."""
+    nx, ny, nz = volume.shape
+    cells = volume.reshape(nx // PACK, PACK, ny // PACK, PACK, nz)
+    return np.ascontiguousarray(cells.transpose(0, 2, 1, 3, 4)).reshape(nx // PACK, ny // PACK, PACK * PACK * nz)
+
+
+def unpacked(image: np.ndarray) -> np.ndarray:
+    """(x, y, 4 nz) -> (2 x, 2 y, nz), the inverse of `packed`."""
+    x, y, layers = image.shape
+    nz = layers // (PACK * PACK)
+    cells = image.reshape(x, y, PACK, PACK, nz).transpose(0, 2, 1, 3, 4)
+    return np.ascontiguousarray(cells).reshape(PACK * x, PACK * y, nz)
+
+
+def pixel_box(grid: Grid, camera: Camera, world_from_camera: Pose, border: int = 1) -> tuple[slice, slice]:
+    """The rows and the columns of an image that a grid projects to, and a border [px] around them; at least one each.
+
+    All of the image where a corner of the grid is behind the camera.
+    """
+    corners = grid.world(np.stack(np.meshgrid(*([-0.5, n - 0.5] for n in grid.shape), indexing="ij"), -1))
+    uv = camera.project(world_from_camera.inverse().apply(corners.reshape(-1, 3)))
+    size = np.array([camera.width, camera.height])
+    low, high = (uv.min(0) - border, uv.max(0) + border + 1) if not np.isnan(uv).any() else (0 * size, size)
+    (u0, v0), (u1, v1) = np.clip(np.floor(low), 0, size - 1).astype(int), np.clip(np.ceil(high), 1, size).astype(int)
+    return slice(v0, v1), slice(u0, u1)
+
+
+def _camera(view: View, grid: Grid) -> np.ndarray:
+    foot = grid.world((np.array(SHAPE) - 1) / 2) * (1, 1, 0)
+    towards = view.world_from_camera.xyz - foot
+    distance = np.sqrt((towards**2).sum())
+    return np.array([np.arccos(towards[2] / distance), distance], np.float32)
+
+
+@dataclass(frozen=True)
+class CompletionConfig:
+    """Sizes of the network."""
+
+    widths: tuple[int, ...] = (96, 128, 192, 256)
+    """Channels at each resolution, from 40 x 40 pixels, each half the one before."""
+    blocks: int = 2
+    """Residual blocks at each resolution, on the way down and on the way up."""
+    parts: int = 20_000
+    """Fresh parts that the training examples show."""
+    parts_seed: int = 2026
+    """Seed of these parts."""
+    d415_share: float = 0.35
+    """Share of the training examples that the d415 measures; the others are ideal."""
+    sensor_model: int = 1
+    """Data version of the sensors that made the training examples: 1 or 2; training makes those of 2."""
+
+
+COMPLETION = {
+    "small": CompletionConfig(parts_seed=2027, d415_share=0.0, sensor_model=2),
+    "pretraining": CompletionConfig(sensor_model=2),
+    "measured": CompletionConfig(parts_seed=2051, sensor_model=2),
+}
+"""`small` starts from the weights of `pretraining`, `measured` of noisy parts from those of `small`."""
+
+
+class CompletionNet(UNet):
+    """Evidence about a part to the logit of each cell being filled."""
+
+    def __init__(self, config: CompletionConfig) -> None:
+        layers = PACK * PACK * SHAPE[2]
+        super().__init__(layers + EXTRA, layers, config.widths, config.blocks)
+        self.config = config
+
+    def forward(self, codes: Tensor, camera: Tensor) -> Tensor:
+        """Logits of the cells.
+
+        Args:
+            codes: (B, nx / 2, ny / 2, 4 nz) int8 as of `FramedPart`, packed.
+            camera: (B, 2) float32 as of `FramedPart`.
+
+        Returns:
+            (B, nx / 2, ny / 2, 4 nz), packed.
+        """
+        half = torch.is_autocast_enabled(codes.device.type)
+        evidence = network_input(codes, camera, torch.bfloat16 if half else torch.float32)
+        return self.image(evidence).permute(0, 2, 3, 1)
+
+
+def network_input(codes: Tensor, camera: Tensor, dtype: torch.dtype = torch.float32) -> Tensor:
+    """(B, C, x, y) of evidence, channels last: the layers, x, |y|, and polar angle and distance of the camera.
+
+    Of y only the magnitude: mirrored evidence is then nothing but a mirrored image.
+    """
+    layers = codes.to(dtype).permute(0, 3, 1, 2) * (1 / CODE)
+    batch, _, nx, ny = layers.shape
+    x = torch.linspace(-1, 1, nx, device=layers.device).view(1, 1, nx, 1).expand(batch, 1, nx, ny)
+    y = torch.linspace(-1, 1, ny, device=layers.device).abs().view(1, 1, 1, ny).expand(batch, 1, nx, ny)
+    middle = torch.tensor([MIDDLE_POLAR, MIDDLE_DISTANCE], device=layers.device)
+    place = (4 * (camera - middle)).view(batch, 2, 1, 1).expand(batch, 2, nx, ny)
+    return torch.cat([layers, torch.cat([x, y, place], 1).to(dtype)], 1)
+
+
+def completion_loss(logits: Tensor, codes: Tensor, solid: Tensor) -> Tensor:
+    """() cross-entropy plus JACCARD times the soft Jaccard distance, both over the cells that are not seen free.
+
+    Args:
+        logits: (B, x, y, C) of the network.
+        codes: (B, x, y, C) int8, packed; cells of code CODE do not count.
+        solid: (B, x, y, C) uint8, packed: 255 times the filled shares.
+    """
+    return _Loss.apply(logits, codes, solid)
+
+
+class _Loss(torch.autograd.Function):
+    """The loss with its gradient in closed form, one example at a time: all its arrays then stay in the cache."""
+
+    @staticmethod
+    def forward(ctx: Any, logits: Tensor, codes: Tensor, solid: Tensor) -> Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
+        gradient, total = torch.empty_like(logits), logits.new_zeros((), dtype=torch.float32)
+        for i in range(len(logits)):
+            loss, slope = _loss_of(logits[i].detach().float(), codes[i] < CODE, solid[i].float() / 255)
+            total += loss / len(logits)
+            gradient[i] = slope.div_(len(logits))
+        ctx.save_for_backward(gradient)
+        return total
+
+    @staticmethod
+    def backward(ctx: Any, above: Tensor) -> tuple[Tensor, None, None]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        (gradient,) = ctx.saved_tensors
+        return gradient * above.to(gradient.dtype), None, None
+
+
+def _loss_of(logits: Tensor, counts: Tensor, share: Tensor) -> tuple[Tensor, Tensor]:
+    """The loss of one example and its gradient by the logits; all of one shape, counts bool."""
+    weight = counts.to(logits.dtype)
+    share, cells = share * weight, weight.sum().clamp(min=1)
+    entropy = (F.softplus(logits) * weight).sum() - (logits * share).sum()
+    filled = torch.sigmoid(logits) * weight
+    both = (filled * share).sum()
+    union = (filled.sum() + share.sum() - both).clamp(min=1e-3)
+    slope = (filled - share).div_(cells)  # of the entropy
+    by_filled = share.mul_(1 / union + both / union**2).sub_(both / union**2)  # of both / union
+    slope.sub_(by_filled.mul_(filled).mul_(1 - filled), alpha=JACCARD)
+    return entropy / cells + JACCARD * (1 - both / union), slope
 
 
 @dataclass(frozen=True, eq=False)

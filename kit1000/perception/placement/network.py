@@ -19,7 +19,7 @@ from torch import Tensor
 
 from kit1000.perception.networks.inference import on_cpu, on_grid
 from kit1000.perception.networks.unet import UNet
-from kit1000.perception.placement.channels import Channel
+from kit1000.perception.placement import Channel
 
 LEVER = 20.0  # [mm] by which yaws [rad] are lengths too
 INPUTS = len(Channel) + 9  # two residuals and a smooth one, three slopes, two places, and whether the patch is mirrored

@@ -13,7 +13,7 @@ from baselines.training.tasks.part_completion.task import CompletionTask, comple
 from baselines.training.tasks.part_completion.views import DrawnViews
 from kit1000.dataset.reader import Dataset
 from kit1000.perception.completion import part_network
-from kit1000.perception.completion.part_network import CODE
+from kit1000.perception.completion.parts import CODE
 from kit1000.rng import stream
 
 SEED = 7

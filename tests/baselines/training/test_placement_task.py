@@ -15,7 +15,7 @@ from baselines.training.tasks.placement.placed_fits import BORDER, LARGEST_SHIFT
 from baselines.training.tasks.placement.task import IN_PLATE, MM, placement_task
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
-from kit1000.perception.placement.channels import CELLS, Channel
+from kit1000.perception.placement import CELLS, Channel
 from kit1000.pose import Pose
 from kit1000.registration.image_refine import PlatePatch, plate_patch
 from kit1000.registration.prepared_image import RestoredImage

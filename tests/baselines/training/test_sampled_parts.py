@@ -11,7 +11,7 @@ from baselines.training.tasks.part_completion import sampled_parts
 from baselines.training.tasks.part_completion.sampled_parts import DrawnPart, DrawnParts, drawn_part
 from baselines.training.tasks.part_completion.views import LEAST_PIXELS, DrawnViews, beside, resting_pose
 from kit1000.mesh import solid_from_mesh
-from kit1000.perception.completion.part_network import CODE
+from kit1000.perception.completion.parts import CODE
 from kit1000.rng import stream
 from kit1000.sim.footprints import footprint, footprint_distance
 from kit1000.sim.layout import MAX_PART_RADIUS

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from kit1000.camera import Camera, look_at
 from kit1000.mesh import Mesh, mesh_from_solid
-from kit1000.perception.completion.part_network import (
+from kit1000.perception.completion.parts import (
     CELL,
     CODE,
     SHAPE,

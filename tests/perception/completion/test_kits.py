@@ -18,8 +18,13 @@ from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.kits.assembly import AssemblyPlan, SidePlate, build_assembly
 from kit1000.mesh import defect_float32
-from kit1000.perception.completion.kit_network import KitCompletionConfig, KitCompletionNet, kit_loss, likely_depths
-from kit1000.perception.completion.kits import ReliefCompleter
+from kit1000.perception.completion.kits import (
+    KitCompletionConfig,
+    KitCompletionNet,
+    ReliefCompleter,
+    kit_loss,
+    likely_depths,
+)
 from kit1000.perception.image_kinds import IDEAL
 from kit1000.perception.networks.weight_files import save_weights
 from kit1000.perception.observed.kits import (

@@ -6,7 +6,7 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from kit1000.perception.completion.part_network import (
+from kit1000.perception.completion.parts import (
     CODE,
     JACCARD,
     CompletionConfig,

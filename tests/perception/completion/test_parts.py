@@ -12,8 +12,18 @@ from scipy.ndimage import map_coordinates
 from kit1000.camera import Camera, look_at
 from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.metrics.volumes import occupancy_iou
-from kit1000.perception.completion.part_network import CODE, SHAPE, CompletionConfig, CompletionNet, FramedPart, grid_at
-from kit1000.perception.completion.parts import SEEN_FREE, CompletedPart, FillLogits, PartCompleter
+from kit1000.perception.completion.parts import (
+    CODE,
+    SEEN_FREE,
+    SHAPE,
+    CompletedPart,
+    CompletionConfig,
+    CompletionNet,
+    FillLogits,
+    FramedPart,
+    PartCompleter,
+    grid_at,
+)
 from kit1000.perception.observed.parts import ObservedPart
 from kit1000.pose import Pose
 from kit1000.registration.part_volume import seen_part

@@ -11,7 +11,7 @@ from baselines.training.tasks.restoration.crop_task import Recorded
 from baselines.training.tasks.restoration.task import Batch, MixtureTask, mean_where
 from kit1000.dataset.reader import Dataset
 from kit1000.perception.restoration import calibrated_image
-from kit1000.perception.restoration.network import HOLES, RestorationConfig, RestorationNet
+from kit1000.perception.restoration.restorer import HOLES, RestorationConfig, RestorationNet
 from kit1000.perception.sensor_facts import simulated_sensor
 
 SENSOR = "photoneo"

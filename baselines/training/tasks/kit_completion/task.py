@@ -14,7 +14,7 @@ from torch import Tensor
 from baselines.training.tasks.kit_completion.views import Example, KitViews, example_of, mirrored, plane_of
 from baselines.training.validation import drawn_targets
 from kit1000.dataset.reader import Dataset
-from kit1000.perception.completion.kit_network import (
+from kit1000.perception.completion.kits import (
     KIT_COMPLETION,
     KitCompletionConfig,
     KitCompletionNet,

@@ -14,7 +14,7 @@ from baselines.training.tasks.part_completion.views import OVERLAP
 from kit1000.dataset.geometry import Geometry
 from kit1000.errors import Redraw
 from kit1000.numerics.linear_algebra import length, matmul
-from kit1000.perception.completion.part_network import pixel_box
+from kit1000.perception.completion.parts import pixel_box
 from kit1000.perception.observed.kits import (
     CELL,
     CELLS,

@@ -16,7 +16,7 @@ from baselines.training.validation import drawn_targets
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.files import user_cache
-from kit1000.perception.completion.part_network import (
+from kit1000.perception.completion.parts import (
     CODE,
     COMPLETION,
     CompletionConfig,

@@ -10,7 +10,7 @@ from baselines.training.tasks.noisy_images import noisy_view
 from baselines.training.tasks.part_completion.sampled_parts import DrawnPart, DrawnParts
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh
-from kit1000.perception.completion.part_network import SHAPE, FramedPart, framed, grid_at, packed, pixel_box
+from kit1000.perception.completion.parts import SHAPE, FramedPart, framed, grid_at, packed, pixel_box
 from kit1000.perception.observed.occupancy import filled_share
 from kit1000.pose import Pose, quaternion_between
 from kit1000.sim.cameras import CAMERA, draw_primary_pose

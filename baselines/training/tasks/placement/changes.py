@@ -12,7 +12,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from kit1000.perception.placement.channels import CELL, CELLS, Channel
+from kit1000.perception.placement import CELL, CELLS, Channel
 from kit1000.perception.placement.network import LEVER, MIRRORED
 
 SHIFT = 0.7  # [mm] standard deviation along each axis, by which a fit is moved

@@ -18,7 +18,7 @@ from kit1000.errors import InputError
 from kit1000.files import write_bytes
 from kit1000.metrics import Targets, pose_errors
 from kit1000.metrics.pose_errors import nearest_goal_motions
-from kit1000.perception.placement.channels import CELLS
+from kit1000.perception.placement import CELLS
 from kit1000.pose import Pose
 from kit1000.queries.guesses import draw_ball_error
 from kit1000.queries.motions import apply_error

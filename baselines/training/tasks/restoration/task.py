@@ -11,7 +11,7 @@ from torch import Tensor
 from baselines.training.tasks.restoration.crop_task import CropTask, Recorded, Views
 from baselines.training.tasks.restoration.views import SceneViews, recorded_example
 from kit1000.dataset.reader import Dataset
-from kit1000.perception.restoration.network import RESTORATION, UNMASKED, Mixture, RestorationConfig, RestorationNet
+from kit1000.perception.restoration.restorer import RESTORATION, UNMASKED, Mixture, RestorationConfig, RestorationNet
 from kit1000.perception.restoration.rules import JUMP
 
 REACH = 7  # [px] from a jump of the truth, where a pixel counts as beside an edge

@@ -14,7 +14,7 @@ from baselines.training.tasks.restoration.views import SENSOR
 from baselines.training.tasks.segmentation.views import PartViews, recorded_example
 from kit1000.dataset.reader import Dataset
 from kit1000.perception.restoration.restorer import Restorer
-from kit1000.perception.segmentation.network import CENTRES, OFFSET_UNIT, CentresConfig, CentresNet, Votes
+from kit1000.perception.segmentation.part_finder import CENTRES, OFFSET_UNIT, CentresConfig, CentresNet, Votes
 
 Batch = dict[str, Tensor]
 
