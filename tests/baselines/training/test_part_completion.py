@@ -12,7 +12,7 @@ from baselines.training.tasks.part_completion.sampled_parts import DrawnParts
 from baselines.training.tasks.part_completion.task import CompletionTask, completion_task
 from baselines.training.tasks.part_completion.views import DrawnViews
 from kit1000.dataset.reader import Dataset
-from kit1000.perception.completion import part_network
+from kit1000.perception.completion import parts
 from kit1000.perception.completion.parts import CODE
 from kit1000.rng import stream
 
@@ -50,9 +50,9 @@ def test_a_part_beyond_the_grid_is_validated_shrunk(
     key = task.validation_keys()[0]
     whole = task.validation_example(key)
     task.kept.clear()
-    monkeypatch.setattr(part_network, "CELL", part_network.CELL / 4)  # a grid of 20 x 20 x 13 mm
-    monkeypatch.setattr(part_network, "LARGEST", part_network.LARGEST / 4)
-    monkeypatch.setattr(part_network, "TYPICAL", part_network.TYPICAL / 4)
+    monkeypatch.setattr(parts, "CELL", parts.CELL / 4)  # a grid of 20 x 20 x 13 mm
+    monkeypatch.setattr(parts, "LARGEST", parts.LARGEST / 4)
+    monkeypatch.setattr(parts, "TYPICAL", parts.TYPICAL / 4)
     shrunk = task.validation_example(key)
     task.kept.clear()
     filled = [example["solid"].astype(float).sum() for example in (whole, shrunk)]
