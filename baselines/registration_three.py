@@ -59,7 +59,7 @@ class LabelledViews:
         self._views = lru_cache(RECENT)(self._read)
 
     def of(self, query: Query) -> tuple[LabelledDepth, ...]:
-        """Views of the query's scene; raises InputError where it was recorded without the three cameras."""
+        """Views of the query's scene; raises InputError if it was recorded without the three cameras."""
         labels = table_labels(query.image)
         return tuple(labelled(view, labels) for view in self._views(query.scene_id))
 

@@ -54,7 +54,7 @@ class RecordedHeights:
         self._table = lru_cache(RECENT)(self._read)
 
     def of(self, query: Query) -> SceneHeights:
-        """The maps of the kits and of the query's part; raises InputError where its scene was recorded without them."""
+        """The maps of the kits and of the query's part; raises InputError if its scene was recorded without them."""
         return _scene_heights(self._table(query.scene_id), query.image, {query.part: query.pivot})
 
     def _read(self, scene_id: str) -> np.ndarray:
@@ -91,7 +91,7 @@ class RenderedHeights:
 
 
 def three_views(scene: RecordedScene) -> list[View]:
-    """The images of the three cameras; raises InputError where a scene was recorded without them."""
+    """The images of the three cameras; raises InputError if a scene was recorded without them."""
     return [scene.view(f"three/{i}/ideal") for i in range(CAMERAS)]
 
 

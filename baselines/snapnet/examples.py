@@ -18,7 +18,7 @@ from baselines.training.tasks.split_queries import TRACK_OF, Guesses, SplitQueri
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError, did_you_mean
 from kit1000.kits.goals import nearest_about_axis
-from kit1000.perception.completion.kits import ReliefCompleter
+from kit1000.perception.completion.kits import KitCompleter
 from kit1000.perception.completion.parts import PartCompleter
 from kit1000.pose import Pose, unit_vector
 from kit1000.queries.motions import goal_motion
@@ -72,7 +72,7 @@ class QuerySampler:
         guesses: Guesses = "ball",
         sensor: Sensor = "ideal",
         completer: PartCompleter | None = None,
-        kit_completer: ReliefCompleter | None = None,
+        kit_completer: KitCompleter | None = None,
     ) -> None:
         """Nothing is read yet.
 

@@ -20,7 +20,7 @@ from baselines.snapnet.position import COARSEST, PositionNet, position_of
 from baselines.snapnet.query_volumes import ImageCache, QueryVolumes
 from baselines.snapnet.rotation import RotationNet, rotation_of
 from kit1000.dataset.reader import Dataset
-from kit1000.perception.completion.kits import ReliefCompleter
+from kit1000.perception.completion.kits import KitCompleter
 from kit1000.perception.completion.parts import PartCompleter
 from kit1000.perception.networks.inference import ready
 from kit1000.pose import Pose
@@ -86,7 +86,7 @@ class SnapNet:
         self.passes = passes
         self.search: Literal["coarse to fine", "all"] = search
         self.completer: PartCompleter | None = None if completion is None else PartCompleter(completion)
-        self.kit_completer = None if kit_completion is None else ReliefCompleter(kit_completion)
+        self.kit_completer = None if kit_completion is None else KitCompleter(kit_completion)
         self.position: PositionNet = ready(position, PositionConfig, PositionNet)
         self.rotation: RotationNet = ready(rotation, RotationConfig, RotationNet)
 

@@ -22,7 +22,7 @@ from torch.nn import functional
 from baselines.snapnet.config import Cells, PositionConfig, RotationConfig, Source
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh
-from kit1000.perception.completion.kits import ReliefCompleter
+from kit1000.perception.completion.kits import KitCompleter
 from kit1000.perception.completion.parts import CompletedPart, PartCompleter
 from kit1000.perception.observed.kits import ObservedKits
 from kit1000.perception.observed.parts import TABLE_MARGIN, ObservedPart
@@ -57,7 +57,7 @@ class ImageCache:
         self,
         read_image: Callable[[Query], LabelledDepth] = methodcaller("read_image"),
         completer: PartCompleter | None = None,
-        kit_completer: ReliefCompleter | None = None,
+        kit_completer: KitCompleter | None = None,
     ) -> None:
         """Nothing is read yet.
 
@@ -213,7 +213,7 @@ def grid_about(world_from_middle: Pose, cells: Cells, voxel: float) -> Grid:
     return Grid(cells, voxel, world_from_middle @ Pose.from_translation(first))
 
 
-def image_crops(image: LabelledDepth, query: Query, completer: ReliefCompleter | None = None) -> ImageCrops:
+def image_crops(image: LabelledDepth, query: Query, completer: KitCompleter | None = None) -> ImageCrops:
     """The crops of a query's image that volumes are made of; completer: of kits, see `ObservedKits`."""
     kits, parts = None, {}
     for label, box in enumerate(find_objects(image.labels), start=1):

@@ -17,7 +17,7 @@ from baselines.snapnet.position import PositionNet, position_loss, position_of
 from baselines.snapnet.rotation import RotationNet, rotation_loss
 from baselines.training.tasks.split_queries import Guesses
 from kit1000.dataset.reader import Dataset
-from kit1000.perception.completion.kits import ReliefCompleter
+from kit1000.perception.completion.kits import KitCompleter
 from kit1000.perception.completion.parts import PartCompleter
 
 VALIDATION_QUERIES = {"position": 100, "rotation": 96}  # spread evenly over the validation split
@@ -125,6 +125,6 @@ def _samplers(
 ) -> Iterator[QuerySampler]:
     """Queries for training and for validation."""
     completer = None if completion is None else PartCompleter(completion)
-    kit_completer = None if kit_completion is None else ReliefCompleter(kit_completion)
+    kit_completer = None if kit_completion is None else KitCompleter(kit_completion)
     for split in ("train", "val"):
         yield QuerySampler(dataset, split, source, guesses, completer=completer, kit_completer=kit_completer)

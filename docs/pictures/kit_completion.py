@@ -15,7 +15,7 @@ import numpy as np
 from PIL import Image
 
 from kit1000.dataset.reader import Dataset, RecordedScene
-from kit1000.perception.completion.kits import ReliefCompleter, filled_by_columns
+from kit1000.perception.completion.kits import KitCompleter, filled_by_columns
 from kit1000.perception.image_kinds import IDEAL
 from kit1000.perception.observed.kits import DEEPEST, ObservedKits, true_depths
 from kit1000.weights import WEIGHTS
@@ -30,7 +30,7 @@ Row = list[np.ndarray]
 
 def main(data: Path) -> None:
     """Draw the picture."""
-    dataset, completer = Dataset(data), ReliefCompleter(WEIGHTS / "kit-completion")
+    dataset, completer = Dataset(data), KitCompleter(WEIGHTS / "kit-completion")
     split = dataset.split("test", truth=True)
     chosen = split.scene_ids[:: max(len(split.scene_ids) // SCENES, 1)][:SCENES]
     found = [_case(dataset, completer, split.scene(scene_id)) for scene_id in chosen]
@@ -43,10 +43,10 @@ def main(data: Path) -> None:
     picture.resize((ZOOM * picture.width, ZOOM * picture.height), Image.Resampling.NEAREST).save(OUT, optimize=True)
 
 
-def _case(dataset: Dataset, completer: ReliefCompleter, scene: RecordedScene) -> tuple[float, str, Row]:
+def _case(dataset: Dataset, completer: KitCompleter, scene: RecordedScene) -> tuple[float, str, Row]:
     image, body = scene.labelled_depth("ideal"), scene.scene.bodies[0]
     kits = ObservedKits(image, IDEAL.noise, scene.id, completer=completer)
-    relief = kits.relief(kits.plates[0].point)
+    relief = kits.height_map(kits.plates[0].point)
     assert relief is not None, "some plate is seen in every scene"
     truth = true_depths(dataset.geometry.assembly(body.id).mesh, body.world_from_body, relief.shown.world_from_plate)
     hidden = ~relief.shown.seen & (truth < DEEPEST)

@@ -271,7 +271,7 @@ def plate_patch(
     channels[Channel.MEASURED], channels[Channel.IS_MEASURED] = pixels.beyond(image.measured)
     heights = cavity_heights(part.bounds.filled, candidate.plate_from_now, pivot, clearance)
     channels[Channel.CAVITY] = rays.beyond(heights, pivot, pixels)
-    channels[Channel.RELIEF] = _heights(heights, face[:, :2] - pivot[:2])
+    channels[Channel.HEIGHTS] = _heights(heights, face[:, :2] - pivot[:2])
     for channel, logit in ((Channel.WIDER, WIDER), (Channel.SLIMMER, SLIMMER)):
         other = cavity_heights(part.solid_above(logit), candidate.plate_from_now, pivot, clearance)
         channels[channel] = rays.beyond(other, pivot, pixels)

@@ -280,7 +280,7 @@ class PartRegistration:
         ]
 
     def _shown(self, fit: Fit, found: ImageFit, image_cost: float) -> Fit:
-        """A fit where the image shows it. image_cost: above that of the best fit."""
+        """A fit in the place that the image shows. image_cost: cost in the image above that of the best fit."""
         candidate = replace(fit.candidate, plate_from_now=found.plate_from_now)
         goal_from_now = candidate.cavity.world_from_plate @ found.plate_from_now
         cost, uncertainty = fit.cost, fit.uncertainty

@@ -109,7 +109,7 @@ class Registration:
         from kit1000.perception.completion.kits import completed_kits
 
         sensor = self._sensor(query)
-        completer = _loaded("completion.kits:ReliefCompleter", self.kit_completion)
+        completer = _loaded("completion.kits:KitCompleter", self.kit_completion)
         return completed_kits(query, sensor, completer, self.networks(sensor.kind).restorer)
 
     def _agreed_fits(self, queries: Sequence[Query], geometry: TrueGeometry | None = None) -> list[Fit]:

@@ -1,7 +1,7 @@
 """The depth image of a query, calibrated and restored: what registration reads of it, for all parts of its scene.
 
-All is done when the image is prepared, except that a network restores and completes each part when it is asked for:
-most queries are about one part only. The images hold in the world of the recorded image: calibration corrects the pose
+All is done when the image is prepared, except that networks restore and complete a part at its first use: most queries
+are about one part only. The images hold in the world of the recorded image: calibration corrects the pose
 of the camera and the depths, so the pivot and the guess of a query are valid beside them.
 """
 

@@ -143,7 +143,7 @@ def test_a_plate_that_the_camera_sees_from_below_has_no_patch() -> None:
 
 def test_the_relief_is_seen_from_above() -> None:
     start = moved(case("an L"), 0, 0, 0)
-    relief = patch_of("an L", start).channels[Channel.RELIEF]
+    relief = patch_of("an L", start).channels[Channel.HEIGHTS]
     assert relief.min() == pytest.approx(-start.cavity.depth, abs=2e-3)
     assert relief.max() == 0
     area = np.count_nonzero(relief < -1e-3) * CELL**2

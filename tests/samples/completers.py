@@ -7,9 +7,9 @@ import trimesh
 
 from kit1000.camera import Camera, look_at
 from kit1000.mesh import Mesh
-from kit1000.perception.completion.kits import ReliefCompleter
+from kit1000.perception.completion.kits import KitCompleter
 from kit1000.perception.completion.parts import FillLogits, FramedPart, PartCompleter
-from kit1000.perception.observed.kits import CompletedRelief, SeenRelief, true_depths
+from kit1000.perception.observed.kits import CompletedHeights, SeenHeights, true_depths
 from kit1000.perception.observed.occupancy import filled_share
 from kit1000.pose import Pose
 from kit1000.sim.render import render
@@ -52,12 +52,12 @@ def _table() -> tuple[np.ndarray, np.ndarray]:
     return np.array(box.vertices), np.array(box.faces)
 
 
-class KnownPlate(ReliefCompleter):
+class KnownPlate(KitCompleter):
     """Knows the plate."""
 
     def __init__(self, world_from_kit: Pose) -> None:
         self.world_from_kit = world_from_kit
 
-    def __call__(self, relief: SeenRelief) -> CompletedRelief:
+    def __call__(self, relief: SeenHeights) -> CompletedHeights:
         """The true depths, in hidden and seen cells alike."""
-        return CompletedRelief(relief, true_depths(tray(), self.world_from_kit, relief.world_from_plate))
+        return CompletedHeights(relief, true_depths(tray(), self.world_from_kit, relief.world_from_plate))

@@ -1,8 +1,8 @@
 """Calibration of a recorded view by the table, without learning and without the truth.
 
-The table is part of the specification of every scene (docs/reference/sensors.md). Read `plane` (the table's plane),
-`borders` (its outline), `camera_pose` (the pose and the depth scale that explain them), `bending` (the smooth error of
-depths that is left on the table) and `table_top` (which pixels look at the table).
+The table is part of the specification of every scene (docs/reference/sensors.md). Read `table` (the pixels that look
+at it, its plane, and the smooth error of depths that is left on it) and `camera_pose` (the table's borders, and the
+pose and the depth scale that explain plane and borders).
 """
 
 from kit1000.perception.calibration.camera_pose import (

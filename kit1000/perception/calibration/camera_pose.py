@@ -117,7 +117,7 @@ def seen_borders(view: View, labels: np.ndarray, borders: Sequence[OutlineEdge] 
 
 
 def _seen(view: View, labels: np.ndarray, border: OutlineEdge) -> SeenBorder | None:
-    """A border; None where the image shows too little of it."""
+    """A border; None if the image shows too little of it."""
     columns, outward, lines, expected = _expected(view.camera, view.world_from_camera, border)
     if len(lines) < LEAST_BORDER:
         return None

@@ -160,7 +160,7 @@ def correlated_in(sensor: SensorFacts) -> float:
 def table_plane(
     view: View, labels: np.ndarray, reach: float = PLANE_REACH, correlated: float = CORRELATED
 ) -> Plane | None:
-    """The plane of the table's pixels; None where there are too few. reach: [m] of them from the recorded plane.
+    """The plane of the table's pixels; None if there are too few. reach: [m] of them from the recorded plane.
 
     Fitted in inverse depth, where noise is the same for all pixels, with Tukey's weights; what a narrow strip of table
     leaves open stays as recorded.
@@ -218,7 +218,7 @@ def unbent(view: View, labels: np.ndarray, baseline: float) -> View:
 
 
 def table_residuals(view: View, labels: np.ndarray, gain: float) -> Residuals | None:
-    """The residuals of a calibrated view's table; None where too few cells show it. gain: [px m]."""
+    """The residuals of a calibrated view's table; None if too few cells show it. gain: [px m]."""
     beside = np.asarray(binary_dilation(labels > 0, np.ones((BESIDE_BODIES, 1))))
     beside = np.asarray(binary_dilation(beside, np.ones((1, BESIDE_BODIES))), bool)
     v, u = np.nonzero((view.depth > 0) & ~beside)

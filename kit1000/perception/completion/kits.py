@@ -22,7 +22,15 @@ from kit1000.mesh import Mesh
 from kit1000.perception.networks.inference import on_cpu, on_grid, with_mirror
 from kit1000.perception.networks.unet import UNet
 from kit1000.perception.observed.columns import MaskedView, ObservedColumns
-from kit1000.perception.observed.kits import CELL, CELLS, DEEPEST, CompletedRelief, Completer, ObservedKits, SeenRelief
+from kit1000.perception.observed.kits import (
+    CELL,
+    CELLS,
+    DEEPEST,
+    CompletedHeights,
+    Completer,
+    ObservedKits,
+    SeenHeights,
+)
 from kit1000.perception.observed.pixels import subpixel_points
 from kit1000.perception.restoration import calibrated_image
 from kit1000.perception.sensor_facts import SensorFacts
@@ -78,20 +86,20 @@ KIT_COMPLETION = {
 
 
 class KitCompletionNet(UNet):
-    """The seen relief of a plate to logits of its layers of 1 mm being free."""
+    """The seen heights of a plate to logits of its layers of 1 mm being free."""
 
     def __init__(self, config: KitCompletionConfig) -> None:
         super().__init__(PACK * PACK * MAPS + EXTRA, PACK * PACK * DEEPEST, config.widths, config.blocks)
         self.config = config
 
     def forward(self, least: Tensor, seen: Tensor, camera: Tensor) -> Tensor:
-        """(B, DEEPEST, x, y) logits of layers being free, the highest first; arguments as of `SeenRelief`."""
+        """(B, DEEPEST, x, y) logits of layers being free, the highest first; arguments: see `SeenHeights`."""
         depth, known = least / DEPTH_UNIT, seen.to(least.dtype)
         maps = F.pixel_unshuffle(torch.stack([depth, known, depth * known], 1), PACK)
         middle = torch.tensor([MIDDLE_POLAR, MIDDLE_DISTANCE], device=least.device)
         place = (4 * (camera - middle))[:, :, None, None].expand(-1, -1, *maps.shape[2:])
-        evidence = torch.cat([maps, place], 1).contiguous(memory_format=torch.channels_last)
-        return F.pixel_shuffle(self.image(evidence), PACK)
+        read = torch.cat([maps, place], 1).contiguous(memory_format=torch.channels_last)
+        return F.pixel_shuffle(self.image(read), PACK)
 
 
 def kit_loss(logits: Tensor, least: Tensor, seen: Tensor, depth: Tensor, weight: Tensor) -> Tensor:
@@ -99,8 +107,8 @@ def kit_loss(logits: Tensor, least: Tensor, seen: Tensor, depth: Tensor, weight:
 
     Args:
         logits: (B, DEEPEST, x, y) of the network.
-        least: (B, x, y) as of `SeenRelief`.
-        seen: (B, x, y) bool as of `SeenRelief`; these cells do not count.
+        least: (B, x, y), see `SeenHeights`.
+        seen: (B, x, y) bool, see `SeenHeights`; these cells do not count.
         depth: (B, x, y) [mm] the truth.
         weight: (B, x, y) of the cells.
     """
@@ -129,37 +137,37 @@ def _tops(logits: Tensor) -> Tensor:
     return torch.arange(DEEPEST, device=logits.device, dtype=torch.float32).view(1, -1, 1, 1)
 
 
-class ReliefCompleter:
+class KitCompleter:
     """The network with its weights."""
 
     def __init__(self, weights: Path | KitCompletionNet) -> None:
         """weights: stem of the files, or the network itself."""
         self.net = on_cpu(weights, KitCompletionConfig, KitCompletionNet, fold=False)
 
-    def __call__(self, relief: SeenRelief) -> CompletedRelief:
-        """The relief with likely depths of its hidden cells, never above what is seen free.
+    def __call__(self, heights: SeenHeights) -> CompletedHeights:
+        """The heights with likely depths of its hidden cells, never above what is seen free.
 
-        They follow from the mean of the logits of the relief and of its mirror image.
+        They follow from the mean of the logits of the heights and of its mirror image.
         """
-        least, seen = with_mirror(relief.least), with_mirror(relief.seen)
-        camera = torch.from_numpy(np.stack([relief.camera, relief.camera]))
+        least, seen = with_mirror(heights.least), with_mirror(heights.seen)
+        camera = torch.from_numpy(np.stack([heights.camera, heights.camera]))
         with torch.inference_mode():
             logits = self.net(least, seen, camera)
             likely = likely_depths((logits[:1] + logits[1:].flip(3)) / 2)[0].numpy()
         rounded = on_grid(likely, DEPTH_STEP).astype(np.float32)
-        hidden = np.maximum(rounded, relief.least)
-        return CompletedRelief(relief, np.where(relief.seen, relief.least, hidden))
+        hidden = np.maximum(rounded, heights.least)
+        return CompletedHeights(heights, np.where(heights.seen, heights.least, hidden))
 
 
-def filled_by_columns(image: LabelledDepth, shown: SeenRelief) -> CompletedRelief:
-    """The relief as `ObservedKits` fills it without the network: DEEPEST in a cell without an observed point."""
+def filled_by_columns(image: LabelledDepth, shown: SeenHeights) -> CompletedHeights:
+    """The heights as `ObservedKits` fills it without the network: DEEPEST in a cell without an observed point."""
     mask = image.labels == ASSEMBLY_LABEL
     half, deep = CELL * CELLS / 2, 1e-3 * DEEPEST
     images, points = [MaskedView(image.view, mask)], subpixel_points(image.view, mask)
     solid = ObservedColumns.of(images, points, shown.world_from_plate, (half, deep), -deep, CELL).filled_cells()
     layers = np.where(solid.any(-1), solid.shape[-1] - solid[..., ::-1].argmax(-1), 0)  # up to the surface
     depth = np.clip(DEEPEST + 0.25 - layers, 0, DEEPEST)  # the middle of the lowest lies 0.25 mm above DEEPEST
-    return CompletedRelief(shown, depth.reshape(CELLS, 2, CELLS, 2).mean((1, 3)).astype(np.float32))
+    return CompletedHeights(shown, depth.reshape(CELLS, 2, CELLS, 2).mean((1, 3)).astype(np.float32))
 
 
 def completed_kits(query: Query, sensor: SensorFacts, completer: Completer, restorer: Restorer | None) -> Mesh:
@@ -183,13 +191,13 @@ def completed_kits(query: Query, sensor: SensorFacts, completer: Completer, rest
 
 def hidden_surfaces(kits: ObservedKits) -> Mesh:
     """The completed surface of hidden cells of all observed plates; empty without network. [m] world."""
-    reliefs = [kits.relief(plate.point) for plate in kits.plates]
-    surfaces = [hidden_surface(relief) for relief in reliefs if relief is not None]
+    maps = [kits.height_map(plate.point) for plate in kits.plates]
+    surfaces = [hidden_surface(heights) for heights in maps if heights is not None]
     vertices, faces = append_faces([part.vertices for part in surfaces], [part.faces for part in surfaces])
     return Mesh(vertices, faces.astype(np.int32))
 
 
-def hidden_surface(relief: CompletedRelief) -> Mesh:
+def hidden_surface(heights: CompletedHeights) -> Mesh:
     """The surface of the hidden cells within a plate, joined to the seen cells beside them.
 
     Its vertices are the middles of cells. A plate is where its seen face has its convex hull, as plates are
@@ -198,7 +206,7 @@ def hidden_surface(relief: CompletedRelief) -> Mesh:
     Returns:
         [m] world, facing along the plate's normal.
     """
-    shown, depths = relief.shown, relief.depths
+    shown, depths = heights.shown, heights.depths
     hidden = _large(~shown.seen & _within_face(shown))
     there = (shown.seen | hidden) & (depths < DEEPEST)
     squares = _corners(there).all(-1) & _corners(hidden).any(-1)
@@ -221,7 +229,7 @@ def _large(cells: np.ndarray) -> np.ndarray:
     return cells & (np.bincount(regions.ravel())[regions] >= LEAST_CELLS)
 
 
-def _within_face(shown: SeenRelief) -> np.ndarray:
+def _within_face(shown: SeenHeights) -> np.ndarray:
     """(CELLS, CELLS) bool: the cells within the convex hull of the seen face, without its border."""
     face = np.argwhere(shown.seen & (np.abs(shown.least) < FACE))
     try:

@@ -64,7 +64,7 @@ class FramedPart:
 def framed(
     image: LabelledDepth, label: int, table_height: float = 0.0, flat: bool = True, scale: float = 1.0
 ) -> FramedPart | None:
-    """The evidence about a part; None where no pixel of it has a return, and where it is larger than the grid.
+    """What an image shows of a part; None if no pixel of it has a return, or if it is larger than the grid.
 
     Args:
         image: the depth image with its masks.
@@ -126,7 +126,7 @@ class _Extents(NamedTuple):
 
 
 def _extents(view: View, mask: np.ndarray) -> _Extents | None:
-    """Extents of the pixels (H, W) of a part; None where there is none."""
+    """Extents of the pixels (H, W) of a part; None if there is none."""
     points = pixel_points(view, mask)
     if len(points) == 0:
         return None
@@ -138,7 +138,7 @@ def _extents(view: View, mask: np.ndarray) -> _Extents | None:
 
 
 def _grid(view: View, mask: np.ndarray) -> Grid | None:
-    """The grid of the pixels (H, W) of a part, in a world whose table is at height 0; None where it holds no part."""
+    """The grid of the pixels (H, W) of a part, in a world whose table is at height 0; None if it holds no part."""
     extents = _extents(view, mask)
     if extents is None or (extents.sizes > CELL * np.array(SHAPE)).any():
         return None
@@ -224,21 +224,21 @@ class CompletionNet(UNet):
         """Logits of the cells.
 
         Args:
-            codes: (B, nx / 2, ny / 2, 4 nz) int8 as of `FramedPart`, packed.
-            camera: (B, 2) float32 as of `FramedPart`.
+            codes: (B, nx / 2, ny / 2, 4 nz) int8, see `FramedPart`, packed.
+            camera: (B, 2) float32, see `FramedPart`.
 
         Returns:
             (B, nx / 2, ny / 2, 4 nz), packed.
         """
         half = torch.is_autocast_enabled(codes.device.type)
-        evidence = network_input(codes, camera, torch.bfloat16 if half else torch.float32)
-        return self.image(evidence).permute(0, 2, 3, 1)
+        read = network_input(codes, camera, torch.bfloat16 if half else torch.float32)
+        return self.image(read).permute(0, 2, 3, 1)
 
 
 def network_input(codes: Tensor, camera: Tensor, dtype: torch.dtype = torch.float32) -> Tensor:
-    """(B, C, x, y) of evidence, channels last: the layers, x, |y|, and polar angle and distance of the camera.
+    """(B, C, x, y) input of the network, channels last: the layers, x, |y|, and polar angle and distance of the camera.
 
-    Of y only the magnitude: mirrored evidence is then nothing but a mirrored image.
+    Only the magnitude of y is a channel: mirrored input is then simply a mirrored image.
     """
     layers = codes.to(dtype).permute(0, 3, 1, 2) * (1 / CODE)
     batch, _, nx, ny = layers.shape
@@ -325,7 +325,7 @@ class PartCompleter:
         self.net = on_cpu(weights, CompletionConfig, CompletionNet, fold=False)
 
     def __call__(self, part: FramedPart) -> FillLogits:
-        """The mean of the logits of the evidence and of its mirror image; cells that are seen free are not filled."""
+        """The mean of the logits of the input and of its mirror image; cells that are seen free are not filled."""
         pair = np.stack([packed(part.codes), packed(part.codes[:, ::-1])])
         camera = np.stack([part.camera, part.camera])
         with torch.inference_mode():
@@ -351,13 +351,13 @@ class CompletedPart:
 
     @cached_property
     def framed(self) -> FramedPart | None:
-        """What the network reads; None where no pixel has a return."""
+        """What the network reads; None if no pixel has a return."""
         image, label, height = self.raw or self.observed.image, self.observed.label, self.observed.table_height()
         return framed(image, label, height, scale=scale_of(image, label, height))
 
     @cached_property
     def logits(self) -> FillLogits | None:
-        """On the grid of the network; None where no pixel has a return."""
+        """On the grid of the network; None if no pixel has a return."""
         return None if self.framed is None else self.completer(self.framed)
 
     def probability(self, voxel: float) -> Volume:

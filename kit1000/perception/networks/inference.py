@@ -40,7 +40,7 @@ def ready(net: Any, config: type, make: type) -> Any:
 
 
 def on_cpu(net: Any, config: type, make: type, fold: bool = True, exact: bool = False) -> Any:
-    """A network that predicts on the CPU; arguments as of `ready`.
+    """A network that predicts on the CPU; arguments: see `ready`.
 
     Args:
         net: the network, or the stem of its weights.

@@ -20,7 +20,7 @@ Precision = Literal["float32", "float16", "int8"]
 the largest number of their row, the first axis."""
 SCALE = ".int8-scale"  # suffix of the name of the scales of a tensor
 MOST = 127  # of int8
-LEAST = 1e-30  # the largest number of a row, where it is smaller
+LEAST = 1e-30  # least value that stands for the largest number of a row
 
 
 def stored(tensors: Mapping[str, torch.Tensor], precision: Precision) -> Tensors:

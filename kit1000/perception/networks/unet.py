@@ -35,9 +35,9 @@ class UNet(nn.Module):
         self.up = nn.ModuleList(_blocks(width, blocks) for width in reversed(widths[:-1]))
         self.head = nn.Conv2d(widths[0] + inputs, outputs, 1)
 
-    def image(self, evidence: Tensor) -> Tensor:
+    def image(self, input: Tensor) -> Tensor:
         """(B, inputs, x, y) -> (B, outputs, x, y)."""
-        features = self.stem(evidence)
+        features = self.stem(input)
         kept = []
         for blocks, coarser in zip(self.down, self.coarser, strict=False):
             features = blocks(features)
@@ -46,7 +46,7 @@ class UNet(nn.Module):
         features = self.down[-1](features)
         for finer, blocks in zip(self.finer, self.up, strict=True):
             features = blocks(finer(features) + kept.pop())
-        return self.head(torch.cat([features, evidence.to(features.dtype)], 1))
+        return self.head(torch.cat([features, input.to(features.dtype)], 1))
 
 
 class ResidualBlock(nn.Module):

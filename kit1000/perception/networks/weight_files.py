@@ -126,7 +126,7 @@ def _check_names(own: Mapping[str, Any], given: Mapping[str, Any], where: str | 
 
 
 def read_tensors_file(path: Path) -> bytes:
-    """The bytes of a file; raises InputError where it cannot be read."""
+    """The bytes of a file; raises InputError if it cannot be read."""
     try:
         return path.read_bytes()
     except FileNotFoundError:
@@ -136,7 +136,7 @@ def read_tensors_file(path: Path) -> bytes:
 
 
 def loaded(path: Path, data: bytes) -> Tensors:
-    """The tensors in the bytes of a safetensors file; raises InputError where they are damaged."""
+    """The tensors in the bytes of a safetensors file; raises InputError if they are damaged."""
     try:
         return load(data)
     except (SafetensorError, ValueError, KeyError) as error:

@@ -1,1 +1,1 @@
-"""What depth images show of parts and kits, in metres: points, plates, filled columns, reliefs, volumes."""
+"""What depth images show of parts and kits, in metres: points, plates, filled columns, height maps, volumes."""

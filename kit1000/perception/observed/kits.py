@@ -40,8 +40,8 @@ UPRIGHT = Plane(np.array([0.0, 0.0, 1.0]), np.zeros(3), 0.0)
 
 
 @dataclass(frozen=True, eq=False)
-class SeenRelief:
-    """What one image shows of the relief of a plate."""
+class SeenHeights:
+    """What one image shows of the heights of a plate."""
 
     world_from_plate: Pose
     """z along the plate's normal, x away from the camera, the origin on the plate in the middle of the image."""
@@ -54,10 +54,10 @@ class SeenRelief:
 
 
 @dataclass(frozen=True, eq=False)
-class CompletedRelief:
-    """The relief of a plate with likely depths where the image shows none."""
+class CompletedHeights:
+    """The heights of a plate with likely depths for hidden cells."""
 
-    shown: SeenRelief
+    shown: SeenHeights
     """What the image shows of it."""
     depths: np.ndarray
     """(CELLS, CELLS) float32 [mm]: seen cells as they were seen, hidden ones likely; DEEPEST where nothing is."""
@@ -80,8 +80,8 @@ class CompletedRelief:
         return heights <= top[..., None]
 
 
-def seen_relief(image: LabelledDepth, plate: Plane, middle: np.ndarray, noise: Noise) -> SeenRelief:
-    """The relief of a plate about the foot of a middle.
+def seen_heights(image: LabelledDepth, plate: Plane, middle: np.ndarray, noise: Noise) -> SeenHeights:
+    """The heights of a plate about the foot of a middle.
 
     Args:
         image: may be cropped.
@@ -103,7 +103,7 @@ def seen_relief(image: LabelledDepth, plate: Plane, middle: np.ndarray, noise: N
     towards = world_from_plate.inverse().apply(view.world_from_camera.xyz)
     distance = max(length(towards), CELL)
     polar = np.arccos(np.clip(towards[2] / distance, -1, 1))
-    return SeenRelief(world_from_plate, least, seen, np.array([polar, distance], np.float32))
+    return SeenHeights(world_from_plate, least, seen, np.array([polar, distance], np.float32))
 
 
 def away_frame(plate: Plane, middle: np.ndarray, camera: np.ndarray) -> Pose:
@@ -118,12 +118,12 @@ def away_frame(plate: Plane, middle: np.ndarray, camera: np.ndarray) -> Pose:
 
 
 def true_depths(mesh: Mesh, world_from_mesh: Pose, world_from_plate: Pose) -> np.ndarray:
-    """(CELLS, CELLS) float32 [mm], 0 to DEEPEST: the mean depth of a mesh's surface in each cell of a relief."""
-    return DEEPEST - filled_share(mesh, world_from_mesh, relief_grid(world_from_plate)).sum(-1)
+    """(CELLS, CELLS) float32 [mm], 0 to DEEPEST: the mean depth of a mesh's surface in each cell of a heights."""
+    return DEEPEST - filled_share(mesh, world_from_mesh, height_grid(world_from_plate)).sum(-1)
 
 
-def relief_grid(world_from_plate: Pose) -> Grid:
-    """The cells of 1 mm below the cells of a relief, down to DEEPEST."""
+def height_grid(world_from_plate: Pose) -> Grid:
+    """The cells of 1 mm below the cells of a heights, down to DEEPEST."""
     middle = Pose.from_translation((0.0, 0.0, -CELL * DEEPEST / 2))
     return Grid.centred(world_from_plate @ middle, (CELLS, CELLS, DEEPEST), CELL)
 
@@ -176,7 +176,7 @@ def _behind(x, y, depth, signed, across, down, intrinsics, rotation, shift):
     return -1.0 if pz <= -signed[b, a] else BESIDE
 
 
-Completer = Callable[[SeenRelief], CompletedRelief]
+Completer = Callable[[SeenHeights], CompletedHeights]
 """Completes what no pixel shows of a plate."""
 
 
@@ -222,15 +222,15 @@ class ObservedKits:
         Returns:
             A volume about the middle, its z axis the normal, of `half_width` and HALF_HEIGHT; no voxel is unknown.
         """
-        columns, relief = self.columns(middle, voxel), self.relief(middle)
-        return columns.filled(largest_only=False, more=None if relief is None else relief.filled(columns.fine))
+        columns, heights = self.columns(middle, voxel), self.height_map(middle)
+        return columns.filled(largest_only=False, more=None if heights is None else heights.filled(columns.fine))
 
-    def relief(self, middle: np.ndarray) -> CompletedRelief | None:
-        """The relief of the plate nearest to a point (3,) [m] of the world, about its foot; None without network."""
+    def height_map(self, middle: np.ndarray) -> CompletedHeights | None:
+        """The heights of the plate nearest to a point (3,) [m] of the world, about its foot; None without network."""
         plate = self._nearest(middle)
         if self.completer is None or plate is None:
             return None
-        return self.completer(seen_relief(self._cropped_about(middle), plate, middle, self.noise))
+        return self.completer(seen_heights(self._cropped_about(middle), plate, middle, self.noise))
 
     def columns(self, middle: np.ndarray, voxel: float) -> ObservedColumns:
         """What the image shows around a point, for `volume`."""

@@ -67,7 +67,7 @@ def find_planes(
 def without_nested(planes: Sequence[Plane], points: np.ndarray, normals: np.ndarray, noise: Noise) -> list[Plane]:
     """The planes (largest first) without those that lie mostly within the outline of a larger one and below it.
 
-    Slanted rims and walls of a cavity look like plates where depth is noisy. Arguments as of `find_planes`.
+    Slanted rims and walls of a cavity look like plates where depth is noisy. Arguments: see `find_planes`.
     """
     kept: list[Plane] = []
     outlines: list[np.ndarray] = []

@@ -27,5 +27,5 @@ class Channel(IntEnum):
     """The same of a part that is taken as solid where that is less likely."""
     SLIMMER = 6
     """The same of a part that is taken as solid only where that is likelier."""
-    RELIEF = 7
+    HEIGHTS = 7
     """[m] heights of the cavity, 0 on the face; the only one that is seen from above."""

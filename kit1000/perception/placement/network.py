@@ -31,7 +31,7 @@ SHARPNESS, SMOOTHNESS, WIDE = 3, 5, 7  # cells over which a cavity is averaged, 
 SHOWN = 0.9  # share of a cell's pixels that show the kits, from which on it counts
 WEIGHT_OF_ONE = 0.5413  # softplus of it is 1: at first all cells weigh the same
 SHARE_AT_FIRST = -3.0  # logit of the share of the measured image
-HOLD = 4.0  # [cells (px/mm)^2] by which a fit is held where it was
+HOLD = 4.0  # [cells (px/mm)^2] weight of the fit's former place
 BEND = 1e-2  # [cells] the same of the bend of the face
 SHARE = 0.7  # of a move that is made: on the split val fewer fits are lost than with all of it
 MOVE_STEP = 1e-3  # [mm] to which moves are rounded: the last digits of sums depend on the processor
@@ -66,16 +66,16 @@ class PlacementNet(UNet):
         """The moves.
 
         Args:
-            patch: (B, Channel, n, n) as of `Channel`, n a multiple of 8.
+            patch: (B, Channel, n, n), see `Channel`, n a multiple of 8.
             mirrored: (B,) bool: whether left and right are exchanged, as shadows of a stereo camera are then too.
 
         Returns:
             (B, 3) [mm] yaw about the middle times LEVER, shift along x and y.
         """
         slopes, residuals = cavity_slopes(patch[:, Channel.CAVITY]), _residuals(patch)
-        evidence = F.avg_pool2d(_evidence(patch, slopes, residuals, mirrored), POOLED)
-        told = self.image(evidence.contiguous(memory_format=torch.channels_last))
-        weight, error, share = F.interpolate(told, scale_factor=POOLED, mode="bilinear").unbind(1)
+        read = F.avg_pool2d(_inputs(patch, slopes, residuals, mirrored), POOLED)
+        predicted = self.image(read.contiguous(memory_format=torch.channels_last))
+        weight, error, share = F.interpolate(predicted, scale_factor=POOLED, mode="bilinear").unbind(1)
         share = torch.sigmoid(share + SHARE_AT_FIRST)
         restored, measured = residuals.unbind(1)
         mixed = (restored * (1 - share) + measured * share).clamp(-FARTHEST, FARTHEST) + APART * error
@@ -119,13 +119,13 @@ def _residuals(patch: Tensor) -> Tensor:
     return torch.stack([restored, measured], 1)
 
 
-def _evidence(patch: Tensor, slopes: Tensor, residuals: Tensor, mirrored: Tensor) -> Tensor:
+def _inputs(patch: Tensor, slopes: Tensor, residuals: Tensor, mirrored: Tensor) -> Tensor:
     """(B, INPUTS, n, n): the channels in like units, residuals, slopes, places, mirrored or not."""
     cavity = patch[:, Channel.CAVITY]
     channels = patch.clone()
     for channel in (Channel.WIDER, Channel.SLIMMER):
         channels[:, channel] = (patch[:, channel] - cavity) / APART
-    channels[:, Channel.RELIEF] = patch[:, Channel.RELIEF] / 12e-3
+    channels[:, Channel.HEIGHTS] = patch[:, Channel.HEIGHTS] / 12e-3
     x, y = (place.expand_as(cavity) / cavity.shape[-1] * 2 for place in _places(cavity))
     side = torch.where(mirrored, -1.0, 1.0).to(patch.dtype)[:, None, None].expand_as(cavity)
     smooth = _averaged(residuals[:, 0], WIDE)

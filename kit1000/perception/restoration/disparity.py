@@ -23,7 +23,7 @@ STARTS = ((16, 16), (11, 7), (8, 13))  # [px] above and left of a box, where ima
 def labelled_inputs(image: LabelledDepth, closed: View, sensor: SensorFacts) -> Inputs:
     """What the network reads of a calibrated image: see `RestorationNet.forward`; (H, W) arrays, `slope`, `level`.
 
-    closed: its view as of `closed_gaps`.
+    closed: its view, see `closed_gaps`.
     """
     kinds = np.select([image.labels == ASSEMBLY_LABEL, image.labels >= FIRST_PART_LABEL], [1, 2], 0)
     returned = (image.labels == 0) | (image.view.depth > 0)
@@ -44,7 +44,7 @@ def noise_level(calibrated: View, mask: np.ndarray, sensor: SensorFacts) -> np.n
     """(1,) float32 [px]: how far disparities are from those of the table's plane, noise and bending together.
 
     1.4826 times the median, the RMS if they are normal, of the pixels of a mask (H, W) within NEAR_TABLE px, every
-    LEVEL_STEP-th along rows and columns; 0 where none is.
+    LEVEL_STEP-th along rows and columns; 0 if there is none.
     """
     some = np.s_[::LEVEL_STEP, ::LEVEL_STEP]
     depth, mask = calibrated.depth[some], mask[some] & (calibrated.depth[some] > 0)
@@ -82,9 +82,9 @@ def ground_slope(view: View) -> np.ndarray:
     return np.array([down[0] / camera.fx, down[1] / camera.fy], np.float32) / np.float32(height)
 
 
-def cropped_inputs(evidence: Inputs, box: Box) -> Inputs:
-    """The evidence in a box of the image."""
-    return {name: value if value.ndim == 1 else np.ascontiguousarray(value[box]) for name, value in evidence.items()}
+def cropped_inputs(inputs: Inputs, box: Box) -> Inputs:
+    """The inputs in a box of the image."""
+    return {name: value if value.ndim == 1 else np.ascontiguousarray(value[box]) for name, value in inputs.items()}
 
 
 def padded_box(rows: slice, columns: slice, side: int, camera: Camera) -> Box:
@@ -116,7 +116,7 @@ def _within(span: slice, wide: slice) -> slice:
 def shifted_box(box: Box, start: tuple[int, int], side: int, camera: Camera) -> Box:
     """A box of `side` px more in height and width that holds another one, beginning some px (at most that) before it.
 
-    Nearer to it where the image begins or ends sooner; as large as the image where that is smaller.
+    It begins nearer to it if the image begins or ends sooner, and is as large as the image if that is smaller.
     """
     sizes = (camera.height, camera.width)
     down, right = (_begun(at, before, side, size) for at, before, size in zip(box, start, sizes, strict=True))

@@ -154,8 +154,8 @@ class RestorationNet(UNet):
             plane = torch.cat([plane, level / LEVEL_UNIT], 1)
         plane = plane[:, :, None, None]
         packed = F.pixel_unshuffle(maps, PACK)
-        evidence = torch.cat([packed, plane.expand(-1, -1, *packed.shape[2:])], 1)
-        out = F.pixel_shuffle(self.image(evidence.contiguous(memory_format=torch.channels_last)), PACK).float()
+        inputs = torch.cat([packed, plane.expand(-1, -1, *packed.shape[2:])], 1)
+        out = F.pixel_shuffle(self.image(inputs.contiguous(memory_format=torch.channels_last)), PACK).float()
         spread = FIRST_SPREAD * torch.exp(out[:, 2:4].clamp(-8, 4)) + LEAST_SPREAD
         log_share = F.logsigmoid(torch.cat([out[:, 4:], -out[:, 4:]], 1))
         return Mixture(disparity[:, None] + out[:, :2], spread, log_share)
@@ -257,7 +257,7 @@ def holes(image: LabelledDepth) -> np.ndarray:
 
 
 def hole_inputs(image: LabelledDepth, simulated: bool = True) -> Inputs:
-    """What the network reads of a calibrated image, see `evidence`; holes hold a first estimate from beside.
+    """What the network reads of a calibrated image, see `labelled_inputs`; holes hold a first estimate from beside.
 
     simulated: whether the table is that of generated scenes.
     """

@@ -1,4 +1,4 @@
-"""Restoration by rules: an image calibrated by its table, and its edges where the sensor moved them.
+"""Restoration by rules: an image calibrated by its table, with the edges that the sensor moved at their true pixels.
 
 Nothing is learned and no truth is read: the table is part of the specification of every scene, and what the sensor does
 to edges is part of its own (docs/reference/sensors.md). An ideal image stays as it is.
@@ -30,7 +30,7 @@ JUMP = 0.8 * EDGE_STEP  # [px] of disparity between neighbours, less than fatten
 
 
 def restored_query(query: Query) -> Query:
-    """The query with its image restored when it is read; the same query where the sensor is ideal."""
+    """The query with its image restored when it is read; the same query if the sensor is ideal."""
     sensor = simulated_sensor(query.sensor)
     if sensor.kind.exact:
         return query
@@ -38,12 +38,12 @@ def restored_query(query: Query) -> Query:
 
 
 def restored(image: LabelledDepth, sensor: SensorFacts) -> LabelledDepth:
-    """The image as the sensor should have measured it, as far as its table and its masks tell; the labels stay."""
+    """The image as the sensor should have measured it, as far as its table and its masks show; the labels stay."""
     return restored_edges(calibrated_image(image, sensor), sensor)
 
 
 def calibrated_image(image: LabelledDepth, sensor: SensorFacts) -> LabelledDepth:
-    """The image of a noisy sensor, calibrated and unbent by the table; the same image where the sensor is ideal."""
+    """The image of a noisy sensor, calibrated and unbent by the table; the same image if the sensor is ideal."""
     if sensor.kind.exact:
         return image
     return unbent_image(LabelledDepth(calibrated_by(image.view, image.labels, sensor), image.labels), sensor)
@@ -97,7 +97,7 @@ def _bodies(labels: np.ndarray) -> Iterator[tuple[tuple[slice, slice], np.ndarra
 
 
 def ground_inverse_depth(view: View, step: int = 1) -> np.ndarray:
-    """(H, W) [1/m]: the inverse depth of the plane z = 0 at each pixel; where it is not seen, hardly above 0.
+    """(H, W) [1/m]: the inverse depth of the plane z = 0 at each pixel; hardly above 0 if it is not seen.
 
     step: [px] between the pixels, along rows and columns.
     """

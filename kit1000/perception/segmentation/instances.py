@@ -33,7 +33,7 @@ class Bodies(NamedTuple):
     """The bodies of an image."""
 
     view: View
-    """The image they were found in: calibrated and with shadows closed where the sensor is noisy."""
+    """The image they were found in: calibrated and with shadows closed if the sensor is noisy."""
     points: np.ndarray
     """(H, W, 3) [m] world: of every pixel; of one without a return, the camera's position."""
     kits: np.ndarray
@@ -43,7 +43,7 @@ class Bodies(NamedTuple):
     kind: ImageKind
     """Kind of the view."""
     measured: View
-    """The image before edges were restored or shadows closed, calibrated where the sensor is noisy."""
+    """The image before edges were restored or shadows closed, calibrated if the sensor is noisy."""
 
 
 def find_bodies(view: View, sensor: SensorFacts, restorer: Restorer | None = None) -> Bodies:
@@ -122,7 +122,7 @@ def on_far_half(points: np.ndarray) -> np.ndarray:
 
 
 def world_points(view: View) -> np.ndarray:
-    """(H, W, 3) [m] world: the points of all pixels; the camera's position where there is no return."""
+    """(H, W, 3) [m] world: the points of all pixels; the camera's position for pixels without a return."""
     camera, pose = view.camera, view.world_from_camera
     rotation, depth = pose.rotation_matrix(), view.depth.astype(float)
     right = (np.arange(camera.width) - camera.cx) / camera.fx
@@ -156,7 +156,7 @@ def segmented(
         sensor: the facts about its sensor.
         scale: of the scene, as the dataset's configuration states it.
         restorer: a network that restores noisy images without masks; None looks at them as they are.
-        finder: a network that tells parts apart in restored images; None merges pieces, as in ideal ones.
+        finder: a network that separates parts in restored images; None merges pieces, as in ideal images.
     """
     bodies = find_bodies(view, sensor, restorer)
     labels = np.where(bodies.kits, ASSEMBLY_LABEL, 0).astype(np.uint8)
@@ -184,7 +184,7 @@ def _merged_pieces(bodies: Bodies, scale: float) -> np.ndarray:
 
 
 def pieces_of(bodies: Bodies) -> tuple[np.ndarray, list[np.ndarray], np.ndarray, tuple[slice, slice]]:
-    """The pieces of the parts: labels and joined neighbours as of `find_pieces`, points (h, w, 3) [m], and the box of
+    """The pieces of the parts: labels and joined neighbours, see `find_pieces`, points (h, w, 3) [m], and the box of
     rows and columns to which all are cropped."""
     rows, columns = np.nonzero(bodies.parts.any(1))[0], np.nonzero(bodies.parts.any(0))[0]
     if len(rows) == 0:

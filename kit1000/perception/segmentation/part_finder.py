@@ -88,8 +88,8 @@ class CentresNet(UNet):
         scaled = restored / HEIGHT_UNIT
         maps = torch.stack([scaled, measured / HEIGHT_UNIT, returned.to(scaled.dtype)], 1)
         packed = F.pixel_unshuffle(maps, PACK)
-        evidence = torch.cat([packed, up[:, :, None, None].expand(-1, -1, *packed.shape[2:])], 1)
-        out = F.pixel_shuffle(self.image(evidence.contiguous(memory_format=torch.channels_last)), PACK).float()
+        inputs = torch.cat([packed, up[:, :, None, None].expand(-1, -1, *packed.shape[2:])], 1)
+        out = F.pixel_shuffle(self.image(inputs.contiguous(memory_format=torch.channels_last)), PACK).float()
         return Votes(OFFSET_UNIT * out[:, :2], out[:, 2])
 
 
@@ -177,9 +177,9 @@ class PartFinder:
         votes = median_of_shifts(lambda wide: self._votes(read, wide), box, SIDE, camera)
         return votes[:2], votes[2] > 0
 
-    def _votes(self, evidence: Inputs, box: Box) -> np.ndarray:
+    def _votes(self, inputs: Inputs, box: Box) -> np.ndarray:
         """(3, h, w) offsets [px] across and down, and logits of showing a part; rounded."""
-        cut = cropped_inputs(evidence, box)
+        cut = cropped_inputs(inputs, box)
         batch = [torch.from_numpy(cut[name])[None] for name in ("measured", "restored", "returned", "up")]
         with torch.inference_mode():
             votes = self.net(*batch)

@@ -44,7 +44,7 @@ class OnPredictedMasks:
 def with_predicted_masks(query: Query, scale: float = 1.0, sensor: SensorFacts | None = None) -> Query:
     """The query with masks from its depth image alone. Its pivot says which instance is the part: the nearest one.
 
-    sensor: facts about it, where its name does not tell.
+    sensor: facts about it; None: those of the simulated sensor of its name.
     """
     seen_by = sensor or simulated_sensor(query.sensor)
     restorer, finder = mask_networks() if seen_by.kind.restores else (None, None)

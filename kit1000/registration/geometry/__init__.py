@@ -1,1 +1,1 @@
-"""The shapes that registration compares: cavities, envelopes, swept slices, faces, expected reliefs."""
+"""The shapes that registration compares: cavities, envelopes, swept slices, faces, height maps."""

@@ -12,7 +12,7 @@ from baselines.catalog import all_methods, all_networks, weight_paths
 from baselines.snapnet.config import PositionConfig, RotationConfig
 from baselines.snapnet.examples import PositionExamples, QuerySampler, RotationExamples
 from kit1000.dataset.reader import Dataset
-from kit1000.perception.completion.kits import ReliefCompleter
+from kit1000.perception.completion.kits import KitCompleter
 from kit1000.rng import stream
 from kit1000.weights import WEIGHTS
 
@@ -24,7 +24,7 @@ ROTATION = RotationConfig(VOXEL, (32, 32, 32), CELLS, "inside", 300, 400, traini
 @pytest.fixture(scope="module")
 def samplers(mini: Path) -> tuple[QuerySampler, QuerySampler]:
     """By columns, and by the network."""
-    data, network = Dataset(mini), ReliefCompleter(WEIGHTS / "kit-completion")
+    data, network = Dataset(mini), KitCompleter(WEIGHTS / "kit-completion")
     return QuerySampler(data, "train", "depth"), QuerySampler(data, "train", "depth", kit_completer=network)
 
 

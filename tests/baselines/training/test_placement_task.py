@@ -73,10 +73,10 @@ def test_a_shifted_fit_is_the_cavity_there(shift_mm: tuple[float, float]) -> Non
     seen, true = apply(here, move, shift=np.array(shift_mm))
     np.testing.assert_allclose(true[0].numpy() - move, [0, -shift_mm[0], -shift_mm[1]], atol=1e-5)
     x, y = np.array(shift_mm).round().astype(int)
-    whole = np.roll(patch.channels[Channel.RELIEF], (x, y), (0, 1))
+    whole = np.roll(patch.channels[Channel.HEIGHTS], (x, y), (0, 1))
     middle = np.s_[10:-10, 10:-10]
     if (np.array(shift_mm) == (x, y)).all():
-        assert np.abs(seen[0, Channel.RELIEF].numpy() - whole)[middle].mean() < 0.2e-3
+        assert np.abs(seen[0, Channel.HEIGHTS].numpy() - whole)[middle].mean() < 0.2e-3
     np.testing.assert_allclose(seen[0, Channel.RESTORED].numpy(), apply(here, move)[0][0, Channel.RESTORED].numpy())
 
 
@@ -89,9 +89,9 @@ def test_a_rotated_fit_has_its_rotation_left_to_undo() -> None:
 def test_the_cavity_rotates_with_the_fit() -> None:
     turned, (here, move) = patch_at(0, 0, 8.0)[0], wide()
     seen, _ = apply(here, move, yaw=np.array(np.radians(8.0)))
-    cavity = turned.channels[Channel.RELIEF]
-    still = here.channels[Channel.RELIEF, BORDER:-BORDER, BORDER:-BORDER]
-    assert np.abs(seen[0, Channel.RELIEF].numpy() - cavity).mean() < 0.5 * np.abs(still - cavity).mean()
+    cavity = turned.channels[Channel.HEIGHTS]
+    still = here.channels[Channel.HEIGHTS, BORDER:-BORDER, BORDER:-BORDER]
+    assert np.abs(seen[0, Channel.HEIGHTS].numpy() - cavity).mean() < 0.5 * np.abs(still - cavity).mean()
 
 
 def test_seen_from_aside_the_move_is_in_the_other_frame() -> None:

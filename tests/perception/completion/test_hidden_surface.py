@@ -12,7 +12,7 @@ from kit1000.dataset.reader import Dataset
 from kit1000.mesh import Mesh, surface_points
 from kit1000.perception.completion.kits import hidden_surface, hidden_surfaces
 from kit1000.perception.image_kinds import IDEAL
-from kit1000.perception.observed.kits import CELL, DEEPEST, CompletedRelief, ObservedKits, SeenRelief, seen_relief
+from kit1000.perception.observed.kits import CELL, DEEPEST, CompletedHeights, ObservedKits, SeenHeights, seen_heights
 from kit1000.perception.observed.plates import Plane
 from kit1000.pose import Pose
 from kit1000.registration.predictor import Registration
@@ -24,9 +24,9 @@ from tests.samples.completers import DEEP, WIDE, KnownPlate, plate_image
 MOVED = Pose.from_rotvec((0.0, 0.0, 2.0), (0.3, -0.2, 0.1))
 
 
-def completed(moved: Pose = MOVED) -> CompletedRelief:
+def completed(moved: Pose = MOVED) -> CompletedHeights:
     plate = Plane(moved.rotate((0.0, 0.0, 1.0)), moved.xyz, 0.0)
-    return KnownPlate(moved)(seen_relief(plate_image(moved), plate, moved.apply((0.004, -0.003, 0.01)), IDEAL.noise))
+    return KnownPlate(moved)(seen_heights(plate_image(moved), plate, moved.apply((0.004, -0.003, 0.01)), IDEAL.noise))
 
 
 def test_the_hidden_floor_and_walls_of_a_cavity_are_shown_where_they_are() -> None:
@@ -46,12 +46,12 @@ def test_the_hidden_floor_and_walls_of_a_cavity_are_shown_where_they_are() -> No
 def test_what_is_seen_and_what_has_no_surface_is_not_shown() -> None:
     relief = completed()
     shown = relief.shown
-    seen = SeenRelief(shown.world_from_plate, shown.least, np.ones_like(shown.seen), shown.camera)
-    assert len(hidden_surface(CompletedRelief(seen, relief.depths)).faces) == 0
+    seen = SeenHeights(shown.world_from_plate, shown.least, np.ones_like(shown.seen), shown.camera)
+    assert len(hidden_surface(CompletedHeights(seen, relief.depths)).faces) == 0
     deep = np.where(shown.seen, relief.depths, np.float32(DEEPEST))
-    assert len(hidden_surface(CompletedRelief(shown, deep)).faces) == 0
-    nowhere = SeenRelief(shown.world_from_plate, shown.least, np.zeros_like(shown.seen), shown.camera)
-    assert len(hidden_surface(CompletedRelief(nowhere, relief.depths)).faces) == 0  # no face, so no plate
+    assert len(hidden_surface(CompletedHeights(shown, deep)).faces) == 0
+    nowhere = SeenHeights(shown.world_from_plate, shown.least, np.zeros_like(shown.seen), shown.camera)
+    assert len(hidden_surface(CompletedHeights(nowhere, relief.depths)).faces) == 0  # no face, so no plate
 
 
 def test_without_network_or_plates_the_surface_is_empty() -> None:

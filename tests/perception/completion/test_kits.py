@@ -19,9 +19,9 @@ from kit1000.errors import InputError
 from kit1000.kits.assembly import AssemblyPlan, SidePlate, build_assembly
 from kit1000.mesh import defect_float32
 from kit1000.perception.completion.kits import (
+    KitCompleter,
     KitCompletionConfig,
     KitCompletionNet,
-    ReliefCompleter,
     kit_loss,
     likely_depths,
 )
@@ -33,8 +33,8 @@ from kit1000.perception.observed.kits import (
     DEEPEST,
     HIGHEST,
     ObservedKits,
-    SeenRelief,
-    seen_relief,
+    SeenHeights,
+    seen_heights,
     true_depths,
 )
 from kit1000.perception.observed.plates import Plane
@@ -49,13 +49,13 @@ VOXEL = 1e-3
 SMALL = KitCompletionConfig(widths=(8, 8, 8, 8))
 
 
-def relief_of(moved: Pose, middle: tuple[float, float, float] = (0.004, -0.003, 0.01)) -> SeenRelief:
+def relief_of(moved: Pose, middle: tuple[float, float, float] = (0.004, -0.003, 0.01)) -> SeenHeights:
     plate = Plane(moved.rotate((0.0, 0.0, 1.0)), moved.xyz, 0.0)
-    return seen_relief(plate_image(moved), plate, moved.apply(middle), IDEAL.noise)
+    return seen_heights(plate_image(moved), plate, moved.apply(middle), IDEAL.noise)
 
 
 @pytest.fixture(scope="module")
-def seen() -> SeenRelief:
+def seen() -> SeenHeights:
     return relief_of(Pose.identity())
 
 
@@ -64,7 +64,7 @@ def network() -> KitCompletionNet:
     return KitCompletionNet(SMALL)
 
 
-def test_what_is_seen_of_a_plate_is_true_and_its_surface_is_never_above_what_is_seen_free(seen: SeenRelief) -> None:
+def test_what_is_seen_of_a_plate_is_true_and_its_surface_is_never_above_what_is_seen_free(seen: SeenHeights) -> None:
     truth = true_depths(tray(), Pose.identity(), seen.world_from_plate)
     level = (truth == 0) | (np.abs(truth - 1e3 * DEEP) < 1e-3)  # no wall crosses the cell
     wrong = np.abs(seen.least - truth)[seen.seen & level]
@@ -77,7 +77,7 @@ def test_what_is_seen_of_a_plate_is_true_and_its_surface_is_never_above_what_is_
     assert (hidden & floor).sum() / floor.sum() == pytest.approx(DEEP * np.hypot(0.4, 0.1) / 0.45 / WIDE, abs=0.06)
 
 
-def test_the_relief_is_the_same_wherever_the_scene_stands(seen: SeenRelief) -> None:
+def test_the_relief_is_the_same_wherever_the_scene_stands(seen: SeenHeights) -> None:
     moved = relief_of(Pose.from_rotvec((0.0, 0.0, 2.0), (0.3, -0.2, 0.1)))
     np.testing.assert_allclose(moved.camera, seen.camera, atol=1e-5)
     assert (moved.seen == seen.seen).mean() > 0.995
@@ -85,13 +85,13 @@ def test_the_relief_is_the_same_wherever_the_scene_stands(seen: SeenRelief) -> N
     assert np.quantile(np.abs(moved.least - seen.least)[both], 0.99) < 0.02
 
 
-def test_a_network_changes_no_seen_cell_and_fills_nothing_that_is_seen_free(seen: SeenRelief) -> None:
-    completed = ReliefCompleter(network())(seen)
+def test_a_network_changes_no_seen_cell_and_fills_nothing_that_is_seen_free(seen: SeenHeights) -> None:
+    completed = KitCompleter(network())(seen)
     np.testing.assert_array_equal(completed.depths[seen.seen], seen.least[seen.seen])
     assert (completed.depths >= seen.least).all()
     assert (completed.depths <= DEEPEST).all()
     mirrored = replace(seen, least=seen.least[:, ::-1].copy(), seen=seen.seen[:, ::-1].copy())
-    np.testing.assert_allclose(ReliefCompleter(network())(mirrored).depths[:, ::-1], completed.depths, atol=0.05)
+    np.testing.assert_allclose(KitCompleter(network())(mirrored).depths[:, ::-1], completed.depths, atol=0.05)
 
 
 def test_a_known_relief_fills_the_volume_where_columns_have_no_floor() -> None:
@@ -142,12 +142,12 @@ def test_an_image_that_shows_nothing_of_a_plate_leaves_all_hidden(blind: str) ->
         image = replace(image, labels=np.zeros_like(image.labels))  # beside a plate all is seen free
     else:
         plate = replace(plate, point=np.array([0.0, 0.0, 1.0]))  # above the camera
-    relief = seen_relief(image, plate, plate.point, IDEAL.noise)
+    relief = seen_heights(image, plate, plate.point, IDEAL.noise)
     assert np.isfinite(relief.least).all()
     assert np.isfinite(relief.camera).all()
     truth = true_depths(tray(), Pose.identity(), relief.world_from_plate)
     assert not relief.seen[truth < DEEPEST].any()
-    depths = ReliefCompleter(network())(relief).depths
+    depths = KitCompleter(network())(relief).depths
     assert np.isfinite(depths).all()
     assert depths.shape == (CELLS, CELLS)
 
@@ -155,7 +155,7 @@ def test_an_image_that_shows_nothing_of_a_plate_leaves_all_hidden(blind: str) ->
 def test_a_camera_on_the_normal_has_a_frame_too() -> None:
     view = plate_image(Pose.identity())
     below = view.view.world_from_camera.xyz * (1, 1, 0)
-    relief = seen_relief(view, Plane(np.array([0.0, 0.0, 1.0]), np.zeros(3), 0.0), below, IDEAL.noise)
+    relief = seen_heights(view, Plane(np.array([0.0, 0.0, 1.0]), np.zeros(3), 0.0), below, IDEAL.noise)
     assert relief.camera[0] == pytest.approx(0, abs=1e-6)
     np.testing.assert_allclose(relief.world_from_plate.rotate((0, 0, 1)), (0, 0, 1), atol=1e-12)
 
@@ -163,7 +163,7 @@ def test_a_camera_on_the_normal_has_a_frame_too() -> None:
 def test_weights_of_another_network_are_refused(tmp_path: Path) -> None:
     save_weights(tmp_path / "part", network(), {"about": {"network": {"widths": [8, 8, 8, 8], "parts": 3}}})
     with pytest.raises(InputError, match="no config of a KitCompletionNet"):
-        ReliefCompleter(tmp_path / "part")
+        KitCompleter(tmp_path / "part")
     assert CELL * CELLS > 0.07
 
 

@@ -21,7 +21,7 @@ from kit1000.perception.completion.kits import (
     kit_loss,
     likely_depths,
 )
-from kit1000.perception.observed.kits import seen_relief
+from kit1000.perception.observed.kits import seen_heights
 from kit1000.perception.restoration import calibrated_image
 from kit1000.perception.restoration.restorer import Restorer
 from kit1000.perception.sensor_facts import simulated_sensor
@@ -77,7 +77,7 @@ class KitCompletionTask:
         sensor = simulated_sensor(key.sensor)
         image = calibrated_image(scene.labelled_depth(key.sensor), sensor)
         restored = self.training.restorer(image, sensor, (ASSEMBLY_LABEL,))
-        relief = seen_relief(restored, plane_of(pose), pose.xyz, sensor.kind.best.noise)
+        relief = seen_heights(restored, plane_of(pose), pose.xyz, sensor.kind.best.noise)
         return example_of(relief, assembly, pose @ mount.assembly_from_kit.inverse(), mount)
 
     def loss(self, batch: Batch) -> Tensor:

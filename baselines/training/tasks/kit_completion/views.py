@@ -18,10 +18,10 @@ from kit1000.perception.completion.parts import pixel_box
 from kit1000.perception.observed.kits import (
     CELL,
     CELLS,
-    SeenRelief,
+    SeenHeights,
     away_frame,
-    relief_grid,
-    seen_relief,
+    height_grid,
+    seen_heights,
     true_depths,
 )
 from kit1000.perception.observed.plates import Plane
@@ -85,7 +85,7 @@ class KitViews:
         image = _image(assembly, world_from_assembly, plane, middle, camera, noise)
         facts = simulated_sensor(sensor)
         restored = self.restorer(image, facts, (ASSEMBLY_LABEL,))
-        relief = seen_relief(restored, plane, middle, facts.kind.best.noise)
+        relief = seen_heights(restored, plane, middle, facts.kind.best.noise)
         return example_of(relief, assembly, world_from_assembly, mount)
 
     def _shown(self, rng: np.random.Generator) -> tuple[Assembly, Mount]:
@@ -108,7 +108,7 @@ class KitViews:
         return self._kits[index]
 
 
-def example_of(relief: SeenRelief, assembly: Assembly, world_from_assembly: Pose, mount: Mount) -> Example:
+def example_of(relief: SeenHeights, assembly: Assembly, world_from_assembly: Pose, mount: Mount) -> Example:
     """`least`, `seen`, `camera` as of the evidence, `depth` [mm] the truth, `plate` bool: the cells of the plate."""
     plate_from_kit = relief.world_from_plate.inverse() @ world_from_assembly @ mount.assembly_from_kit
     depth = true_depths(assembly.mesh, world_from_assembly, relief.world_from_plate)
@@ -163,7 +163,7 @@ def _image(
 
     noise: of the calibrated d415; None for ideal depth.
     """
-    around = relief_grid(away_frame(plane, middle, world_from_camera.xyz))
+    around = height_grid(away_frame(plane, middle, world_from_camera.xyz))
     rows, columns = pixel_box(around, CAMERA, world_from_camera, BORDER)
     columns = slice(columns.start - (0 if noise is None else OVERLAP), columns.stop)
     size = columns.stop - columns.start, rows.stop - rows.start
