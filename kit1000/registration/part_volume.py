@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.ndimage import maximum_filter
+from scipy.ndimage import find_objects, maximum_filter
 
 from kit1000.perception.observed.parts import AROUND, HALF_WIDTH, ObservedPart, PartBounds
 from kit1000.perception.observed.pixels import pixel_points
@@ -106,8 +106,13 @@ def hidden_outline(image: LabelledDepth, label: int) -> float:
         image: with the labels of kits and parts.
         label: of the body, from 1 on; 0.0 if no pixel has it.
     """
-    body, depth = image.labels == label, image.view.depth
+    box = find_objects((image.labels == label).astype(np.uint8))
+    if not box:
+        return 0.0
+    around = tuple(slice(max(side.start - 2 * RING, 0), side.stop + 2 * RING) for side in box[0])
+    labels, depth = image.labels[around], image.view.depth[around]
+    body = labels == label
     ring = maximum_filter(body, 2 * RING + 1) & ~body
     inside = maximum_filter(np.where(body, depth, 0.0), 2 * RING + 1)  # the farthest pixel beside; 0 has no return
-    nearer = ring & (image.labels > 0) & (depth > 0) & (depth < inside)
+    nearer = ring & (labels > 0) & (depth > 0) & (depth < inside)
     return float(np.count_nonzero(nearer) / max(np.count_nonzero(ring), 1))
