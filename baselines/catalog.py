@@ -30,13 +30,8 @@ METHOD_TABLES = (
 )
 """Packages or modules with a table METHODS (name -> Method)."""
 NETWORK_TABLES = (
-    "baselines.training.tasks.part_completion",
-    "baselines.training.tasks.kit_completion",
+    "baselines.training.networks",
     "baselines.kitnet",
-    "baselines.training.tasks.restoration",
-    "baselines.training.tasks.hole_filling",
-    "baselines.training.tasks.segmentation",
-    "baselines.training.tasks.placement",
     "baselines.snapnet",
     "baselines.transporter",
 )

@@ -17,8 +17,7 @@ import numpy as np
 import torch
 import tyro
 
-from baselines.training.tasks.restoration.task import beside_jumps
-from baselines.training.tasks.restoration.views import FACTS, SENSOR, example_of
+from baselines.training.tasks.restoration import FACTS, SENSOR, beside_jumps, example_of
 from bench.measured import measured_dataset, run, spread, timed
 from benchmark.measurements import Column, Measurement, Table, estimate
 from kit1000.dataset.reader import RecordedScene

@@ -16,8 +16,7 @@ import torch
 from kit_completion import joined
 from PIL import Image
 
-from baselines.training.tasks.restoration.task import beside_jumps
-from baselines.training.tasks.restoration.views import FACTS, SENSOR, box_about, example_of
+from baselines.training.tasks.restoration import FACTS, SENSOR, beside_jumps, box_about, example_of
 from kit1000.dataset.reader import Dataset, RecordedScene, Split
 from kit1000.perception.restoration.restorer import Restorer
 from kit1000.perception.restoration.rules import calibrated_image, closed_gaps, restored_edges

@@ -15,7 +15,7 @@ import numpy as np
 from kit_completion import joined
 from PIL import Image
 
-from baselines.training.tasks.restoration.views import FACTS, SENSOR
+from baselines.training.tasks.restoration import FACTS, SENSOR
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.metrics.segmentation import matched_masks
 from kit1000.perception.segmentation.instances import find_bodies, segmented

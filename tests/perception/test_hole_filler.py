@@ -12,8 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import laplace
 
-from baselines.training.tasks.hole_filling.task import hole_filling_task
-from baselines.training.tasks.hole_filling.views import CROPS, example_of
+from baselines.training.tasks.hole_filling import CROPS, example_of, hole_filling_task
 from baselines.training.tasks.noisy_images import scanned_view
 from kit1000.dataset.reader import Dataset
 from kit1000.perception.restoration.disparity import depths

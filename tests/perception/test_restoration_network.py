@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from scipy.ndimage import find_objects
 
 from baselines.training.tasks.noisy_images import WIDER, noisy_view
-from baselines.training.tasks.restoration.task import beside_jumps, restoration_task
-from baselines.training.tasks.restoration.views import CROPS, recorded_example
+from baselines.training.tasks.restoration import CROPS, beside_jumps, recorded_example, restoration_task
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.perception.networks.weight_files import save_weights

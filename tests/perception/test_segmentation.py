@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scipy.ndimage import label
 
 from baselines.catalog import all_methods, method_of, run_config
-from baselines.training.tasks.segmentation.fit import logistic
+from baselines.training.tasks.segmentation import logistic
 from kit1000.camera import Camera, look_at
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError

@@ -11,8 +11,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from baselines.training.tasks.segmentation.task import CentresTask, centres_task
-from baselines.training.tasks.segmentation.views import CROPS
+from baselines.training.tasks.segmentation import CROPS, CentresTask, centres_task
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.metrics.segmentation import mean_iou

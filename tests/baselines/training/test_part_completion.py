@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from baselines.training.tasks.part_completion.sampled_parts import DrawnParts
-from baselines.training.tasks.part_completion.task import CompletionTask, completion_task
-from baselines.training.tasks.part_completion.views import DrawnViews
+from baselines.training.tasks.part_completion import CompletionTask, DrawnParts, DrawnViews, completion_task
 from kit1000.dataset.reader import Dataset
 from kit1000.perception.completion import parts
 from kit1000.perception.completion.parts import CODE

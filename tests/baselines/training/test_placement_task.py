@@ -10,9 +10,18 @@ import pytest
 import torch
 from torch import Tensor
 
-from baselines.training.tasks.placement.changes import Changes, changed, drawn_changes, no_changes
-from baselines.training.tasks.placement.placed_fits import BORDER, LARGEST_SHIFT, PlacedFits
-from baselines.training.tasks.placement.task import IN_PLATE, MM, placement_task
+from baselines.training.tasks.placement import (
+    BORDER,
+    IN_PLATE,
+    LARGEST_SHIFT,
+    MM,
+    Changes,
+    PlacedFits,
+    changed,
+    drawn_changes,
+    no_changes,
+    placement_task,
+)
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.perception.placement import CELLS, Channel

@@ -7,9 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from baselines.training.tasks.part_completion import sampled_parts
-from baselines.training.tasks.part_completion.sampled_parts import DrawnPart, DrawnParts, drawn_part
-from baselines.training.tasks.part_completion.views import LEAST_PIXELS, DrawnViews, beside, resting_pose
+from baselines.training.tasks import part_completion
+from baselines.training.tasks.part_completion import (
+    LEAST_PIXELS,
+    DrawnPart,
+    DrawnParts,
+    DrawnViews,
+    beside,
+    drawn_part,
+    resting_pose,
+)
 from kit1000.mesh import solid_from_mesh
 from kit1000.perception.completion.parts import CODE
 from kit1000.rng import stream
@@ -55,7 +62,7 @@ def test_a_neighbour_stands_beside_the_part_at_its_gap_or_farther(parts: list[Dr
 def test_a_shard_holds_the_parts_that_are_made_without_it(
     tmp_path: Path, parts: list[DrawnPart], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sampled_parts, "SHARD", 4)
+    monkeypatch.setattr(part_completion, "SHARD", 4)
     made, read = (DrawnParts(SEED, 8, tmp_path) for _ in range(2))
     for part, one, other in zip(parts, made, read, strict=True):
         for name in ("down", "probability"):
@@ -71,7 +78,7 @@ def test_a_shard_holds_the_parts_that_are_made_without_it(
 def test_an_example_depends_on_its_generator_alone_and_its_truth_fits_its_evidence(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sampled_parts, "SHARD", 4)
+    monkeypatch.setattr(part_completion, "SHARD", 4)
     views = DrawnViews(DrawnParts(SEED, 8, tmp_path), d415_share=0.35)
     for i in range(6):
         example, again = (views.example(stream(1, i)) for _ in range(2))

@@ -11,9 +11,15 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from baselines.training.tasks.kit_completion.sampled_kits import STRETCH, drawn_kit, stretched, with_kit
-from baselines.training.tasks.kit_completion.task import kit_completion_task
-from baselines.training.tasks.kit_completion.views import D415_SHARE, mirrored
+from baselines.training.tasks.kit_completion import (
+    D415_SHARE,
+    STRETCH,
+    drawn_kit,
+    kit_completion_task,
+    mirrored,
+    stretched,
+    with_kit,
+)
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.kits.assembly import AssemblyPlan, SidePlate, build_assembly

@@ -1,21 +1,54 @@
-"""The training task of hole filling: fresh views to learn from, images of the validation split to measure."""
+"""The training task of hole filling: crops of new views by a scanner, measured on images of the validation split."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 
-from baselines.training.tasks.hole_filling.views import HoleViews, example_of
-from baselines.training.tasks.restoration.crop_task import Recorded
-from baselines.training.tasks.restoration.task import Batch, MixtureTask, mean_where
+from baselines.training.tasks.noisy_images import scanned_view
+from baselines.training.tasks.restoration import (
+    CROPS,
+    Batch,
+    Example,
+    MixtureTask,
+    Recorded,
+    ViewCrops,
+    body_pixel,
+    box_about,
+    fresh_image,
+    mean_where,
+)
 from kit1000.dataset.reader import Dataset
 from kit1000.perception.restoration import calibrated_image
-from kit1000.perception.restoration.restorer import HOLES, RestorationConfig, RestorationNet
+from kit1000.perception.restoration.disparity import above_table, cropped_inputs
+from kit1000.perception.restoration.restorer import HOLES, UNIT, RestorationConfig, RestorationNet, hole_inputs, holes
 from kit1000.perception.sensor_facts import simulated_sensor
+from kit1000.values import LabelledDepth
 
+KITS_SHARE = 0.75  # of the crops: about a hole of the kits, not of a part
 SENSOR = "photoneo"
 FAR = 0.5  # [px] of disparity: a filled pixel that far from the truth shows another surface
+
+
+@dataclass(frozen=True, kw_only=True)
+class HoleViews(ViewCrops):
+    """Crops of measured disparities with holes, and of true ones."""
+
+    STREAM = "hole-filling"
+
+    def crops(self, rng: np.random.Generator) -> list[Example]:
+        """About holes of the kits and of parts."""
+        image, depth = fresh_image(self.dataset, self.scenes, rng, scanned_view)
+        whole = example_of(image, depth)
+        places = [body_pixel(np.where(whole["counts"], image.labels, 0), KITS_SHARE, rng) for _ in range(CROPS)]
+        return [cropped_inputs(whole, box_about(*place)) for place in places]
+
+
+def example_of(image: LabelledDepth, depth: np.ndarray) -> Example:
+    """The evidence of a calibrated image, `truth` (H, W) [px] of true depths (H, W) [m], `counts`: holes of bodies."""
+    return hole_inputs(image) | {"truth": above_table(depth, image.view, UNIT), "counts": holes(image)}
 
 
 @dataclass

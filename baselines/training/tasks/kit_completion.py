@@ -1,19 +1,40 @@
-"""Training examples of kit completion: fresh views of assemblies of the train split, some of them with a fresh kit."""
+"""The training task of kit completion: new views of assemblies of the train split, some of them with a newly cut kit.
+
+Kit i of a seed is the same whoever makes it. Stretched, it shows the network yet another cavity.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+import torch
+from torch import Tensor
 
-from baselines.training.tasks.kit_completion.sampled_kits import STRETCH, drawn_kit, stretched, with_kit
 from baselines.training.tasks.noisy_images import noisy_view
-from baselines.training.tasks.part_completion.views import OVERLAP
+from baselines.training.tasks.part_completion import OVERLAP, DrawnPart, drawn_part
+from baselines.training.validation import drawn_targets
 from kit1000.dataset.geometry import Geometry
-from kit1000.errors import Redraw
+from kit1000.dataset.reader import Dataset
+from kit1000.errors import InputError, Redraw
+from kit1000.kits.assembly import join_mounts
+from kit1000.kits.cavity import MIN_SEATED_HEIGHT
+from kit1000.kits.face import RestingFace
+from kit1000.kits.kit import design_kit
+from kit1000.mesh import Mesh
 from kit1000.numerics.linear_algebra import length, matmul
+from kit1000.parts.family import part_of_mesh
+from kit1000.perception.completion.kits import (
+    KIT_COMPLETION,
+    KitCompletionConfig,
+    KitCompletionNet,
+    kit_loss,
+    likely_depths,
+)
 from kit1000.perception.completion.parts import pixel_box
 from kit1000.perception.observed.kits import (
     CELL,
@@ -25,6 +46,7 @@ from kit1000.perception.observed.kits import (
     true_depths,
 )
 from kit1000.perception.observed.plates import Plane
+from kit1000.perception.restoration import calibrated_image
 from kit1000.perception.restoration.restorer import Restorer
 from kit1000.perception.sensor_facts import simulated_sensor
 from kit1000.pose import Pose
@@ -34,14 +56,63 @@ from kit1000.sim.layout import KITS_CENTRE, MAX_KITS_SHIFT, table
 from kit1000.sim.render import render
 from kit1000.values import ASSEMBLY_LABEL, Assembly, Kit, LabelledDepth, Mount, View
 
+MAX_DRAWS = 50  # of one kit
+STRETCH = np.array([(0.75, 1.1), (0.75, 1.1), (0.7, 1.05)])
+"""Range of `stretched`'s factors in x, y and z: a cavity of 20 mm keeps 1 mm of floor, and gaps between plates stay."""
+UNDERSIDE = 1e-6  # [m] above it, vertices are the cavity's or the face's
 D415_SHARE = 0.6  # of the views: measured by the d415, the others ideal
 LEAST_COSINE = 0.25  # of the polar angle of a camera: of flatter plates hardly anything is seen
 JITTER = 12e-3  # [m] most along x and y, of the middle of a relief from that of its plate
 PLANE_ERRORS = {"ideal": (1e-3, 3e-5), "d415": (6e-3, 3e-4)}
 """Standard deviations [rad], [m] of the planes: about those of `find_planes`."""
 BORDER = 12  # [px] around what is needed: the sensor's noise and fattened edges reach so far
-
 Example = dict[str, np.ndarray]
+VALIDATION_SCENES = 20  # spread evenly over the validation split; each with ideal depth and with the d415's
+BESIDE = 0.2  # weight of a cell beside the plate
+Batch = dict[str, Tensor]
+
+
+def drawn_kit(seed: int, index: int) -> Kit:
+    """Kit number `index` of a seed: the first of its draws whose part fits a plate of datasets."""
+    for attempt in range(MAX_DRAWS):
+        part = drawn_part(seed, MAX_DRAWS * index + attempt)
+        face = _insertion_face(part, stream(seed, "completion-kit", index, attempt))
+        if face.height < MIN_SEATED_HEIGHT:
+            continue
+        try:
+            return design_kit(part_of_mesh("drawn", part.mesh), face=face).kit
+        except Redraw:
+            continue
+    raise InputError(f"kit {index} of seed {seed}: none of {MAX_DRAWS} draws is a kit")
+
+
+def with_kit(assembly: Assembly, number: int, kit: Kit) -> Assembly:
+    """The assembly with another kit in one of its mounts. Raises Redraw when its mesh is unprintable."""
+    mounts = list(assembly.mounts)
+    mounts[number] = Mount(kit, mounts[number].assembly_from_kit)
+    return join_mounts(assembly.id, tuple(mounts))
+
+
+def stretched(kit: Kit, factors: np.ndarray) -> Kit:
+    """The kit with its plate stretched along x and y, and along z its cavity alone: the plate keeps its thickness.
+
+    Its slot is still that of the part before. factors: (3,), those of x, y and z. Raises InputError when the cavity
+    would reach the plate's underside.
+    """
+    lowest = UNDERSIDE - kit.extent[2]
+    above = kit.mesh.vertices[:, 2] > lowest
+    vertices = kit.mesh.vertices * (*factors[:2], 1.0)
+    vertices[above, 2] *= factors[2]
+    if vertices[above, 2].min() <= lowest:
+        raise InputError(f"factors: {factors[2]} along z stretches the cavity through the plate's underside")
+    return replace(kit, mesh=Mesh(vertices, kit.mesh.faces), extent=kit.extent * (*factors[:2], 1.0))
+
+
+def _insertion_face(part: DrawnPart, rng: np.random.Generator) -> RestingFace:
+    """One of the faces on which a part rests, as often as it rests on it."""
+    number = int(rng.choice(len(part.down), p=part.probability))
+    along = matmul(part.mesh.vertices, part.down[number])
+    return RestingFace(part.down[number], float(part.probability[number]), float(np.ptp(along)))
 
 
 @dataclass(frozen=True)
@@ -173,3 +244,88 @@ def _image(
     labels = np.where(rendered.body_ids == 2, ASSEMBLY_LABEL, 0).astype(np.uint8)
     view = View(camera, world_from_camera, rendered.depth)
     return LabelledDepth(view if noise is None else noisy_view(view, noise), labels)
+
+
+class Key(NamedTuple):
+    """A validation example: the kit of the drawn target of a scene, seen by a sensor."""
+
+    scene_id: str
+    query_id: str
+    sensor: str
+
+
+@dataclass
+class KitCompletionTask:
+    """Complete the relief of a plate from one image."""
+
+    training: KitViews
+    dataset: Dataset
+    split: str
+    model: KitCompletionNet
+    kept: dict[Key, Example] = field(default_factory=dict)
+    """The validation examples, once they are made: an image takes longer to read than to complete."""
+
+    def example(self, rng: np.random.Generator) -> Example:
+        """One of the fresh views, or its mirror image."""
+        view = self.training[int(rng.integers(len(self.training)))]
+        return mirrored(view) if rng.integers(2) else view
+
+    def validation_keys(self) -> Sequence[Key]:
+        """The kits of the drawn targets of VALIDATION_SCENES scenes, by both sensors where the dataset has both."""
+        targets = drawn_targets(self.dataset, self.split, VALIDATION_SCENES)
+        keys = [Key(query.scene_id, query.id, sensor) for query, sensor in targets]
+        self.kept = {key: self.kept.get(key) or self._example(key) for key in keys}
+        return keys
+
+    def validation_example(self, key: Key) -> Example:
+        """The kit as its image shows it; that of the d415 is calibrated by the table and restored."""
+        return self.kept.get(key) or self._example(key)
+
+    def _example(self, key: Key) -> Example:
+        scene = self.dataset.split(self.split, truth=True).scene(key.scene_id)
+        truth = scene.truth_of(key.query_id)
+        assembly = self.dataset.geometry.assembly(truth.assembly_id)
+        mount = next(mount for mount in assembly.mounts if mount.kit.id == truth.part_id)
+        pose = truth.world_from_kit
+        sensor = simulated_sensor(key.sensor)
+        image = calibrated_image(scene.labelled_depth(key.sensor), sensor)
+        restored = self.training.restorer(image, sensor, (ASSEMBLY_LABEL,))
+        relief = seen_heights(restored, plane_of(pose), pose.xyz, sensor.kind.best.noise)
+        return example_of(relief, assembly, pose @ mount.assembly_from_kit.inverse(), mount)
+
+    def loss(self, batch: Batch) -> Tensor:
+        """() cross-entropy of the layers of hidden cells."""
+        logits = self.model(batch["least"], batch["seen"], batch["camera"])
+        weight = BESIDE + (1 - BESIDE) * batch["plate"].float()
+        return kit_loss(logits, batch["least"], batch["seen"], batch["depth"], weight)
+
+    def measure(self, batch: Batch) -> Batch:
+        """(B,) `hidden_mm`: mean absolute error of the depth of hidden cells of the plate; 0 where none is."""
+        logits = self.model(batch["least"], batch["seen"], batch["camera"])
+        depth = torch.maximum(likely_depths(logits), batch["least"])
+        hidden = batch["plate"] & ~batch["seen"]
+        wrong = ((depth - batch["depth"]).abs() * hidden).sum((1, 2))
+        return {"hidden_mm": wrong / hidden.sum((1, 2)).clamp(min=1)}
+
+
+def kit_completion_task(
+    dataset: Dataset, preset: str, restoration: Path
+) -> tuple[KitCompletionTask, KitCompletionConfig]:
+    """The task with new weights, and the config of its network.
+
+    restoration: stem of the weights of the network that restores images of the d415.
+    """
+    config = KIT_COMPLETION[preset]
+    model = KitCompletionNet(config).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
+    ids = sorted(id for id, row in dataset.geometry.assemblies.items() if row["split"] == "train")
+    views = KitViews(
+        dataset.geometry,
+        ids,
+        seed=config.views_seed,
+        count=config.views,
+        drawn=config.drawn_kits,
+        drawn_share=config.drawn_share,
+        stretched_share=config.stretched_share,
+        restorer=Restorer(restoration),
+    )
+    return KitCompletionTask(views, dataset, "val", model), config

@@ -1,0 +1,280 @@
+"""The training task of restoration: crops of new views of the train split, measured on the validation split."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import ClassVar, Generic, NamedTuple, TypeVar
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from scipy.ndimage import maximum_filter
+from torch import Tensor
+
+from baselines.training.tasks.noisy_images import noisy_view
+from baselines.training.validation import drawn_targets
+from kit1000.dataset.reader import Dataset
+from kit1000.perception.restoration.disparity import (
+    Box,
+    above_table,
+    cropped_inputs,
+    labelled_inputs,
+    unlabelled_inputs,
+)
+from kit1000.perception.restoration.restorer import RESTORATION, UNMASKED, Mixture, RestorationConfig, RestorationNet
+from kit1000.perception.restoration.rules import JUMP, calibrated_image, closed_gaps
+from kit1000.perception.sensor_facts import simulated_sensor
+from kit1000.rng import stream
+from kit1000.sim.cameras import CAMERA, draw_primary_pose
+from kit1000.sim.render import render
+from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, View
+
+SENSOR = "d415"
+FACTS = simulated_sensor(SENSOR)
+SIDE = 128  # [px] of a crop
+CROPS = 8  # of a view
+KITS_SHARE = {True: 0.75, False: 0.3}  # of the crops, with masks and without: about a pixel of the kits, not of a part
+CROWDED_SHARE = 0.2  # of the views: from cameras as of crowded scenes
+AROUND = 12  # [px] about bodies, where without masks the table counts too
+
+Example = dict[str, np.ndarray]
+Sensing = Callable[[View, np.random.Generator], View]
+"""What a sensor sees of an ideal view."""
+VALIDATION_SCENES = 30  # spread evenly over the validation split
+REACH = 7  # [px] from a jump of the truth, where a pixel counts as beside an edge
+FAR = 1.0  # [px] of disparity: a pixel that far from the truth shows another surface
+Batch = dict[str, Tensor]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewCrops(ABC):
+    """Crops of the first views of a seed; those of a view are made when one is first asked for, and kept (1.5 MB)."""
+
+    STREAM: ClassVar[str]
+    """Name of the random numbers."""
+    dataset: Dataset
+    scenes: Sequence[str]
+    """Ids of those that are shown, all of the train split."""
+    seed: int
+    count: int
+    """Number of views."""
+    _kept: dict[int, list[Example]] = field(default_factory=dict, repr=False, compare=False)
+
+    def __len__(self) -> int:
+        return self.count * CROPS
+
+    def __getitem__(self, index: int) -> Example:
+        if not 0 <= index < len(self):
+            raise IndexError(index)
+        view, crop = divmod(index, CROPS)
+        if view not in self._kept:
+            self._kept[view] = self.crops(stream(self.seed, self.STREAM, view))
+        return self._kept[view][crop]
+
+    @abstractmethod
+    def crops(self, rng: np.random.Generator) -> list[Example]:
+        """CROPS crops of a scene as the calibrated d415 sees it from a new place."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneViews(ViewCrops):
+    """Crops of measured and true disparities."""
+
+    STREAM = "restoration"
+    labelled: bool = True
+    """Whether their masks are known."""
+
+    def crops(self, rng: np.random.Generator) -> list[Example]:
+        """About pixels of the kits and of parts."""
+        image, depth = fresh_image(self.dataset, self.scenes, rng)
+        whole = example_of(image, depth, self.labelled)
+        places = [body_pixel(image.labels, KITS_SHARE[self.labelled], rng) for _ in range(CROPS)]
+        return [cropped_inputs(whole, box_about(*place)) for place in places]
+
+
+def fresh_image(
+    dataset: Dataset, scenes: Sequence[str], rng: np.random.Generator, measured: Sensing = noisy_view
+) -> tuple[LabelledDepth, np.ndarray]:
+    """One of some scenes of the train split as a calibrated sensor sees it from a new place; (H, W) [m] true depths."""
+    scene = dataset.split("train", truth=True).scene(scenes[int(rng.integers(len(scenes)))])
+    pose = draw_primary_pose(rng, crowded=bool(rng.random() < CROWDED_SHARE))
+    frame = render(CAMERA, pose, scene.bodies(), threads=1)
+    labels = np.where(frame.body_ids > 1, frame.body_ids - 2 + ASSEMBLY_LABEL, 0).astype(np.uint8)
+    return LabelledDepth(measured(View(CAMERA, pose, frame.depth), rng), labels), frame.depth
+
+
+def recorded_example(
+    dataset: Dataset, split: str, scene_id: str, labelled: bool = True
+) -> tuple[LabelledDepth, Example]:
+    """The calibrated image of a recorded scene, and all of its evidence and truth."""
+    scene = dataset.split(split, truth=True).scene(scene_id)
+    image = calibrated_image(scene.labelled_depth(SENSOR), FACTS)
+    return image, example_of(image, scene.labelled_depth("ideal").view.depth, labelled)
+
+
+def example_of(image: LabelledDepth, depth: np.ndarray, labelled: bool = True) -> Example:
+    """The evidence of a calibrated image, and its truth.
+
+    Args:
+        image: calibrated, with the true masks.
+        depth: (H, W) [m] the true depths.
+        labelled: whether the masks are part of the evidence.
+
+    Returns:
+        The evidence, `truth` (H, W) [px], and `counts` (H, W) bool: the pixels of bodies; without masks also AROUND.
+    """
+    counts = image.labels > 0
+    if not labelled:
+        counts = maximum_filter(counts, 2 * AROUND + 1)
+    view = image.view
+    read = labelled_inputs(image, closed_gaps(image).view, FACTS) if labelled else unlabelled_inputs(view, FACTS)
+    return read | {"truth": above_table(depth, view, FACTS), "counts": counts}
+
+
+def box_about(row: int, column: int) -> Box:
+    """A box of SIDE px about a pixel, within the image."""
+    top, left = (
+        int(np.clip(at - SIDE // 2, 0, size - SIDE)) for at, size in ((row, CAMERA.height), (column, CAMERA.width))
+    )
+    return slice(top, top + SIDE), slice(left, left + SIDE)
+
+
+def body_pixel(labels: np.ndarray, kits_share: float, rng: np.random.Generator) -> tuple[int, int]:
+    """Row and column of a random pixel of the kits, or of a part."""
+    kits = rng.random() < kits_share
+    there = labels == ASSEMBLY_LABEL if kits else labels >= FIRST_PART_LABEL
+    rows, columns = np.nonzero(there if there.any() else labels > 0)
+    at = int(rng.integers(len(rows)))
+    return int(rows[at]), int(columns[at])
+
+
+Views = TypeVar("Views", bound=ViewCrops)
+
+
+class Key(NamedTuple):
+    """A validation example: a crop about a pixel of a recorded image."""
+
+    scene_id: str
+    row: int
+    column: int
+
+
+class Recorded(NamedTuple):
+    """What a recorded scene gives to a task."""
+
+    view: View
+    place: np.ndarray
+    """(3,) [m] world: shown in the middle of the crop."""
+    whole: Example
+    """Example of the whole image."""
+
+
+@dataclass
+class CropTask(ABC, Generic[Views]):
+    """Its examples; a task adds its network, loss and measures."""
+
+    training: Views
+    dataset: Dataset
+    split: str
+    kept: dict[Key, Example] = field(default_factory=dict, kw_only=True)
+    """The validation examples, once they are made: an image takes longer to read than to measure."""
+
+    @abstractmethod
+    def recorded(self, scene_id: str) -> Recorded:
+        """A scene as the d415 recorded it."""
+
+    def example(self, rng: np.random.Generator) -> Example:
+        """One of the crops of fresh views."""
+        return self.training[int(rng.integers(len(self.training)))]
+
+    def validation_keys(self) -> Sequence[Key]:
+        """A crop of each of VALIDATION_SCENES scenes."""
+        if not self.kept:
+            targets = drawn_targets(self.dataset, self.split, VALIDATION_SCENES)
+            for scene_id in dict.fromkeys(query.scene_id for query, _ in targets):
+                self._keep(scene_id)
+        return list(self.kept)
+
+    def validation_example(self, key: Key) -> Example:
+        """The crop."""
+        if key not in self.kept:
+            self._keep(key.scene_id)
+        return self.kept[key]
+
+    def _keep(self, scene_id: str) -> None:
+        """Make the example of a scene."""
+        view, place, whole = self.recorded(scene_id)
+        column, row = np.rint(view.camera.project(view.world_from_camera.inverse().apply(place))).astype(int).tolist()
+        self.kept[Key(scene_id, row, column)] = cropped_inputs(whole, box_about(row, column))
+
+
+@dataclass
+class MixtureTask(CropTask[Views]):
+    """Tell the mixture of each pixel of a crop that counts."""
+
+    model: RestorationNet
+
+    def loss(self, batch: Batch) -> Tensor:
+        """() mean over the pixels that count of the negative logarithm of the likelihood of the truth."""
+        likely, counts = self.mixture(batch).log_likelihood(batch["truth"]), batch["counts"]
+        return -(likely * counts).sum() / counts.sum().clamp(min=1)
+
+    def mixture(self, batch: Batch) -> Mixture:
+        """What the network tells of a batch."""
+        return self.model(*(batch[name] for name in ("disparity", "returned", "labels", "slope", "level")))
+
+
+@dataclass
+class RestorationTask(MixtureTask[SceneViews]):
+    """Restore a crop of one image, calibrated by the table."""
+
+    def recorded(self, scene_id: str) -> Recorded:
+        """About the slot of the drawn target; without masks, about the part."""
+        scene = self.dataset.split(self.split, truth=True).scene(scene_id)
+        target = next(query for query in scene.queries if query.drawn)
+        image, whole = recorded_example(self.dataset, self.split, scene_id, self.training.labelled)
+        slot = scene.truth_of(target.id).world_from_kit.xyz
+        return Recorded(image.view, slot if self.training.labelled else target.pivot, whole)
+
+    def measure(self, batch: Batch) -> Batch:
+        """(B,) `edge_px`: mean absolute error beside edges; `far_edge`: share of pixels there that are off by FAR px;
+        `plain_px`: mean absolute error elsewhere; all where it counts."""
+        wrong = (self.mixture(batch).likeliest() - batch["truth"]).abs()
+        beside = beside_jumps(batch["truth"])
+        edge, plain = batch["counts"] & beside, batch["counts"] & ~beside
+        return {
+            "edge_px": mean_where(wrong, edge),
+            "far_edge": mean_where((wrong > FAR).float(), edge),
+            "plain_px": mean_where(wrong, plain),
+        }
+
+
+def beside_jumps(truth: Tensor) -> Tensor:
+    """(B, H, W) bool: pixels within REACH px, along rows and columns, of a jump of true disparities (B, H, W) [px]."""
+    jumps = torch.zeros_like(truth)
+    for axis in (1, 2):
+        jump = (truth.diff(dim=axis).abs() > JUMP).to(truth.dtype)
+        jumps.narrow(axis, 0, jump.shape[axis]).add_(jump)
+    return F.max_pool2d(jumps, 2 * REACH + 1, 1, REACH) > 0
+
+
+def mean_where(values: Tensor, where: Tensor) -> Tensor:
+    """(B,) means over bool (B, H, W); 0 where none is."""
+    return (values * where).sum((1, 2)) / where.sum((1, 2)).clamp(min=1)
+
+
+def restoration_task(dataset: Dataset, preset: str, labelled: bool = True) -> tuple[RestorationTask, RestorationConfig]:
+    """The task with new weights, and the config of its network. labelled: whether it reads masks."""
+    config = (RESTORATION if labelled else UNMASKED)[preset]
+    model = RestorationNet(config).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
+    scenes = dataset.split("train").scene_ids
+    views = SceneViews(
+        dataset=dataset,
+        scenes=scenes,
+        seed=config.views_seed,
+        count=config.views,
+        labelled=config.labelled,
+    )
+    return RestorationTask(views, dataset, "val", model), config
