@@ -10,8 +10,7 @@ from pathlib import Path
 
 import tyro
 
-from kit1000 import make_kit_from_file
-from kit1000.export.own_part import KitOptions
+from kit1000 import KitOptions, make_kit_from_file
 
 
 def main(part: tyro.conf.Positional[Path], out: Path = Path("my-kit"), clearance_mm: float = 0.5) -> None:

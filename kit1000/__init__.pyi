@@ -10,6 +10,7 @@ from .errors import Kit1000Error as Kit1000Error
 from .errors import MeshRefused as MeshRefused
 from .errors import Redraw as Redraw
 from .errors import ShapeError as ShapeError
+from .export.own_part import KitOptions as KitOptions
 from .export.own_part import make_kit_from_file as make_kit_from_file
 from .kits.kit import make_kit as make_kit
 from .mesh import Mesh as Mesh

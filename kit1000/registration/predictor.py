@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
@@ -14,11 +14,17 @@ from kit1000.mesh import Mesh
 from kit1000.perception.image_kinds import IDEAL, ImageKind
 from kit1000.perception.sensor_facts import SensorFacts, sensor_of
 from kit1000.pose import Pose
-from kit1000.predictor import PredictedMotion, resolved
+from kit1000.predictor import PredictedMotion
 from kit1000.registration.method import Scene, TrueScene, fits_in
 from kit1000.registration.prepared_image import Networks, PreparedImage
 from kit1000.registration.rank import Fit, agreed, confidence, from_elsewhere
 from kit1000.values import Query, TrueGeometry
+
+if TYPE_CHECKING:
+    from kit1000.perception.completion.kits import KitCompleter
+    from kit1000.perception.completion.parts import PartCompleter
+    from kit1000.perception.placement.network import Placer
+    from kit1000.perception.restoration.restorer import HoleFiller, Restorer
 
 SOURCES = ("depth", "columns", "truth")
 USUAL_CLEARANCES = (0.25e-3, 0.5e-3, 1e-3, 2.5e-3)  # [m] that are tried if the dataset states none
@@ -88,10 +94,10 @@ class Registration:
         completion = self.noisy_completion if kind.restores and self.noisy_completion else self.completion
         restoration = self.restoration if kind.restores else None
         return Networks(
-            completer=_loaded("completion.parts:PartCompleter", completion),
-            restorer=_loaded("restoration.restorer:Restorer", restoration),
-            filler=_loaded("restoration.restorer:HoleFiller", self.hole_filling if kind.fills_holes else None),
-            placer=_loaded("placement.network:Placer", self.placement if restoration else None),
+            completer=_part_completer(completion),
+            restorer=_restorer(restoration),
+            filler=_hole_filler(self.hole_filling if kind.fills_holes else None),
+            placer=_placer(self.placement if restoration else None),
         )
 
     @cached_property
@@ -109,7 +115,7 @@ class Registration:
         from kit1000.perception.completion.kits import completed_kits
 
         sensor = self._sensor(query)
-        completer = _loaded("completion.kits:KitCompleter", self.kit_completion)
+        completer = _kit_completer(self.kit_completion)
         return completed_kits(query, sensor, completer, self.networks(sensor.kind).restorer)
 
     def _agreed_fits(self, queries: Sequence[Query], geometry: TrueGeometry | None = None) -> list[Fit]:
@@ -134,10 +140,50 @@ class Registration:
         return sensor_of(self.dataset.summary, query.sensor, query.scene_id)
 
 
-@lru_cache(maxsize=8)
-def _loaded(network: str, stem: Path | None) -> Any:
-    """A network class of `kit1000.perception` with the weights of a stem; None without one. Only here torch loads."""
-    return None if stem is None else resolved(f"kit1000.perception.{network}")(stem)
+# Each network with the weights of a stem, None without one. Torch is loaded in these functions alone.
+
+
+@lru_cache(maxsize=2)
+def _part_completer(stem: Path | None) -> PartCompleter | None:
+    if stem is None:
+        return None
+    from kit1000.perception.completion.parts import PartCompleter
+
+    return PartCompleter(stem)
+
+
+@lru_cache(maxsize=2)
+def _kit_completer(stem: Path) -> KitCompleter:
+    from kit1000.perception.completion.kits import KitCompleter
+
+    return KitCompleter(stem)
+
+
+@lru_cache(maxsize=2)
+def _restorer(stem: Path | None) -> Restorer | None:
+    if stem is None:
+        return None
+    from kit1000.perception.restoration.restorer import Restorer
+
+    return Restorer(stem)
+
+
+@lru_cache(maxsize=2)
+def _hole_filler(stem: Path | None) -> HoleFiller | None:
+    if stem is None:
+        return None
+    from kit1000.perception.restoration.restorer import HoleFiller
+
+    return HoleFiller(stem)
+
+
+@lru_cache(maxsize=2)
+def _placer(stem: Path | None) -> Placer | None:
+    if stem is None:
+        return None
+    from kit1000.perception.placement.network import Placer
+
+    return Placer(stem)
 
 
 def stated_clearances(dataset: Dataset) -> tuple[float, ...]:

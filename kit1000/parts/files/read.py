@@ -301,7 +301,7 @@ def _moved_to_origin(vertices: np.ndarray, used: np.ndarray, notes: list[str]) -
     low, high = vertices[used].min(0), vertices[used].max(0)
     if np.abs(low + high).max() / 2 <= MAX_OFFSET_RATIO * (high - low).max():
         return vertices
-    notes.append(f"moved to the origin from {np.linalg.norm(low + high) / 2:.4g} m away")
+    notes.append(f"moved to the origin from {np.sqrt(np.square(low + high).sum()) / 2:.4g} m away")
     return vertices - (low + high) / 2
 
 
