@@ -38,7 +38,7 @@ def check_world_pose(pose: Pose, up: np.ndarray, distance: float, source: str) -
     def fits(reading: Pose) -> bool:
         return tilt_deg(reading, up) <= LEVEL_DEG and abs(table_height(reading, up, distance)) <= MOST_OFF
 
-    _check_distance(pose, fits, source)
+    _check_distance(pose, up, fits, source)
     if fits(pose):
         return
     tilt, height = tilt_deg(pose, up), table_height(pose, up, distance)
@@ -74,7 +74,7 @@ def check_base_pose(pose: Pose, up: np.ndarray, distance: float, source: str) ->
     def fits(reading: Pose) -> bool:
         return tilt_deg(reading, up) <= LEVEL_DEG
 
-    _check_distance(pose, fits, source)
+    _check_distance(pose, up, fits, source)
     tilt = tilt_deg(pose, up)
     away = float(np.sqrt(pose.xyz @ pose.xyz))
     line = f"{source}: the table lies at z = {1e3 * table_height(pose, up, distance):.0f} mm of the base, tilted by "
@@ -87,15 +87,17 @@ def check_base_pose(pose: Pose, up: np.ndarray, distance: float, source: str) ->
     return [line, f"warning: {source}: up of the table is not up of the base; is the pose base_from_camera?"]
 
 
-def _check_distance(pose: Pose, fits: Callable[[Pose], bool], source: str) -> None:
+def _check_distance(pose: Pose, up: np.ndarray, fits: Callable[[Pose], bool], source: str) -> None:
+    """Raise InputError for a camera beyond FARTHEST; say whether the position in mm would fit."""
     away = float(np.sqrt(pose.xyz @ pose.xyz))
     if away <= FARTHEST:
         return
     metres = Pose(pose.wxyz, 1e-3 * pose.xyz)
-    readings = [("", metres), *((f", and {name}", reading) for name, reading in _other_readings(metres))]
+    readings = [("", metres), *((f"; {name}", reading) for name, reading in _other_readings(metres))]
     also = next((name for name, reading in readings if fits(reading)), None)
-    verdict = "divided by 1000 it fits the table" + also if also is not None else "positions are in metres"
-    raise InputError(f"{source}: the camera is {away:.0f} m away: is the position in mm? {verdict}")
+    verdict = f"it would be {1e-3 * away:.2f} m away, and "
+    verdict += f"the table fits{also}" if also is not None else f"the table is tilted by {tilt_deg(metres, up):.0f}°"
+    raise InputError(f"{source}: the camera is {away:.0f} m away: is the position in mm? Divided by 1000 {verdict}")
 
 
 def _other_readings(pose: Pose) -> Iterator[tuple[str, Pose]]:
