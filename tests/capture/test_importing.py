@@ -389,6 +389,18 @@ def test_the_sensor_of_an_image_to_edit_may_be_a_scanner(
     assert [options.sensor for options in asked] == ["photoneo"]
 
 
+@pytest.mark.parametrize(("scale", "fact"), [(1e3, "in mm"), (1.0, "inverse")])
+def test_the_page_compares_the_pose_in_a_base_with_the_table(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], scale: float, fact: str
+) -> None:
+    pytest.importorskip("viser")
+    eye = next(iter(Dataset(folder).split("test"))).view("d415").world_from_camera
+    wrong = Pose(eye.wxyz, scale * eye.xyz) if scale > 1 else eye.inverse()
+    words = ["edit", str(folder), "--scene", "test-s0000", "--snap", "none", "--out", str(tmp_path / "out")]
+    assert main([*words, "--base-from-camera", str(pose_file(tmp_path / "base.json", wrong))]) == 2
+    assert fact in capsys.readouterr().err
+
+
 def test_a_scene_is_named_where_there_are_several(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("viser")
     assert main(["edit", str(folder)]) == 2
