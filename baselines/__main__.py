@@ -6,12 +6,13 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from tyro.conf import Positional, arg
 
 from kit1000.cli.command_line import check_least, run
 from kit1000.cli.options import OptionalFloat, OptionalInt
+from kit1000.cli.scenes import Predict as LibraryPredict
 from kit1000.perception.networks.precision import Precision
 
 PROGRAM = "python -m baselines"
@@ -39,42 +40,14 @@ class List:
 
 
 @dataclass(frozen=True)
-class Predict:
+class Predict(LibraryPredict):
     """Run a method on the queries of a dataset; the same command again resumes an interrupted run."""
 
-    name: Annotated[Positional[str], arg(metavar="NAME")]
-    """Method of the list, or module:Object or FILE.py:Object of your own."""
-    data: Path
-    """Dataset folder."""
-    out: Path
-    """Submission folder; predictions are added to a submission of the same method and dataset."""
-    split: tuple[str, ...] = ("test",)
-    """Splits to predict: one or several of test, curves, val, test-all, train."""
-    tracks: tuple[str, ...] = ()
-    """Tracks to predict for. Default: all tracks of the method."""
-    workers: OptionalInt = None
-    """Number of processes. Default: one per core. The predictions do not depend on it."""
-    limit: OptionalInt = None
-    """Number of queries, from the first on. Default: all."""
-    seed: int = 0
-    """Seed of all draws of the method."""
-    masks: Literal["given", "predicted"] = "given"
-    """Masks that the method reads: those of the dataset, or those that segmentation finds in the depth image."""
-    weights: tuple[Path, ...] = ()
-    """Folders of training runs whose best weights replace the published ones."""
-
     def run(self) -> int:
-        """Predict, then print what was written."""
+        """Predict by a method of the list or of the user."""
         from baselines.catalog import METHOD_TABLES
-        from kit1000.prediction.predict import RunConfig, predict_and_describe
 
-        check_least(workers=(self.workers, 1), limit=(self.limit, 1), seed=(self.seed, 0))
-        tracks = self.tracks or None
-        config = RunConfig.of(
-            self.name, self.masks, self.split, tracks, self.seed, self.limit, METHOD_TABLES, self.weights
-        )
-        print(predict_and_describe(config, self.data, self.out, self.workers))
-        return 0
+        return self.run_from(METHOD_TABLES)
 
 
 @dataclass(frozen=True)

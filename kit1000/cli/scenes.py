@@ -32,7 +32,7 @@ class Predict:
     """Run a method on the queries of a dataset; the same command again resumes an interrupted run."""
 
     name: Annotated[Positional[str], arg(metavar="METHOD")]
-    """A method of the catalog, such as registration-completed, or module:Object or FILE.py:Object of your own."""
+    """A method by its name, such as registration-completed, or module:Object or FILE.py:Object of your own."""
     data: Path
     """Dataset folder."""
     out: Path
@@ -53,14 +53,19 @@ class Predict:
     """Folders of training runs whose best weights replace the published ones."""
 
     def run(self) -> int:
-        """Predict, then print what was written."""
+        """Predict by a method of the library or of the user."""
+        from kit1000.prediction.catalog import TABLES
+
+        return self.run_from(TABLES)
+
+    def run_from(self, tables: tuple[str, ...]) -> int:
+        """Predict by a method of some tables or of the user, then print what was written."""
         from kit1000.prediction.predict import RunConfig, predict_and_describe
 
         check_least(workers=(self.workers, 1), limit=(self.limit, 1), seed=(self.seed, 0))
         find_own_modules()
-        config = RunConfig.of(
-            self.name, self.masks, self.split, self.tracks or None, self.seed, self.limit, weights=self.weights
-        )
+        tracks = self.tracks or None
+        config = RunConfig.of(self.name, self.masks, self.split, tracks, self.seed, self.limit, tables, self.weights)
         print(predict_and_describe(config, self.data, self.out, self.workers))
         return 0
 
