@@ -47,7 +47,7 @@ class CavityView:
 
 
 def cavity_view(kits: HeightMap, plane: Plane) -> CavityView | None:
-    """The largest cavity in a plate; None where there is none."""
+    """The largest cavity in a plate; None if there is none."""
     world_from_plate = plane_frame(plane, plane.point)
     depths = _depths(kits, world_from_plate, SEARCH)
     plate = np.abs(depths) < FLUSH

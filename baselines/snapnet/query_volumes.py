@@ -74,11 +74,11 @@ class ImageCache:
         return ImageCache, (self._read_image, self._completer, self._kit_completer)
 
     def kits(self, query: Query) -> ObservedKits | None:
-        """The observed kits of a query; None where its image shows none."""
+        """The observed kits of a query; None if its image shows none."""
         return self._of(query).kits
 
     def part(self, query: Query, voxel: float) -> Volume | None:
-        """The observed part in voxels [m], along the axes of the world; None where its image does not show it."""
+        """The observed part in voxels [m], along the axes of the world; None if its image does not show it."""
 
         def make() -> Volume | None:
             image = self._of(query).parts.get(query.part)

@@ -61,7 +61,7 @@ def check_sides(sides: Sequence[float]) -> None:
 def check_size(scenes: Sequence[OwnScene], sides: Sequence[float]) -> str:
     """The body that a box of known sides (3,) [m] is, as a line.
 
-    Raises InputError where no body has these sides: then intrinsics or units are wrong.
+    Raises InputError if no body has these sides: then intrinsics or units are wrong.
     """
     check_sides(sides)
     wanted = " x ".join(f"{1e3 * side:.0f}" for side in sides)

@@ -61,7 +61,7 @@ class Geometry:
         return TrueGeometry(self.part(truth.part_id).mesh, truth.world_from_part, assembly.mesh, world_from_assembly)
 
     def _table(self, name: str) -> dict[str, Row]:
-        """A table; it is empty where nothing is known but images, as of an own camera."""
+        """A table; it is empty if nothing is known but images, as of an own camera."""
         path = self.root / f"{name}.json"
         rows = read_json(path)
         if not isinstance(rows, dict) or not all(isinstance(row, dict) for row in rows.values()):

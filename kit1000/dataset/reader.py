@@ -82,7 +82,7 @@ class Dataset:
 
     @property
     def public_id(self) -> str | None:
-        """The id of the public dataset whose withheld ground truth is in this folder; None where none is withheld."""
+        """The id of the public dataset whose withheld ground truth is in this folder; None if none is withheld."""
         path = self.root / WITHHELD_FILE
         return read_json(path)["dataset_id"] if path.is_file() else None
 
@@ -113,7 +113,7 @@ class Dataset:
         return self.split("test-all" if folder == "test" else folder, truth).scene(scene_id)
 
     def truth_of(self, query: Query) -> Truth:
-        """The ground truth about a query of this dataset; raises InputError where the folder is without it."""
+        """The ground truth about a query of this dataset; raises InputError if the folder is without it."""
         folder = query.scene_id.partition("-")[0]
         split = CURVES if query.track == CURVES else {"test": "test-all"}.get(folder, folder)
         return self.split(split, truth=True).scene(query.scene_id).truth_of(query.id)

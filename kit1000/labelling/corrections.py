@@ -75,7 +75,7 @@ class Correction:
         self._put(name, placed.camera_from_body, placed.width)
 
     def take_back(self) -> bool:
-        """Take back the last move or fit; False where nothing is left."""
+        """Take back the last move or fit; False if nothing is left."""
         if not self._before:
             return False
         self.record = self._before.pop()

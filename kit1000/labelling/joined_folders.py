@@ -70,7 +70,7 @@ def join_folders(folders: Sequence[Path], out: Path) -> list[str]:
 
 
 def _check(dataset: Dataset, first: Dataset) -> None:
-    """Raise InputError where a folder is no part of a split with the first one, or is damaged."""
+    """Raise InputError if a folder is no part of a split with the first one, or is damaged."""
     root, summary = dataset.root, dataset.summary
     if "plan.json" in summary.get("files", {}) or (root / "plan.json").is_file():
         raise InputError(f"{root}: a generated dataset, expected scenes of a camera")
@@ -99,7 +99,7 @@ def _has_truth(path: Path, scene_id: str) -> bool:
 
 
 def _scenes(dataset: Dataset) -> Iterator[_Scene]:
-    """The scenes of a folder, in order. Raises InputError where the labels of one are not confirmed any more."""
+    """The scenes of a folder, in order. Raises InputError if the labels of one are not confirmed any more."""
     summary, own = dataset.summary, dataset.summary.get(OWN, {})
     shards = dataset.shards(SPLIT)
     sources = dict(zip(shards, own.get("sources", ()), strict=False))

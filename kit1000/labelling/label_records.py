@@ -39,7 +39,7 @@ class LabelledBody:
     agreement: Agreement
     rival: float | None
     doubts: tuple[str, ...]
-    """Why the image alone does not settle the pose; empty where it does."""
+    """Why the image alone does not settle the pose; empty if it does."""
     moved: bool = False
     """Whether a person moved it."""
     confirmed_by: str | None = None
@@ -126,7 +126,7 @@ def write_record(root: Path, record: LabelRecord) -> Path:
 
 
 def read_record(root: Path, scene_id: str) -> LabelRecord:
-    """The record of a scene. Raises InputError where it is missing or damaged."""
+    """The record of a scene. Raises InputError if it is missing or damaged."""
     path = record_path(root, scene_id)
     row = read_json(path)
     found = row.get("format") if isinstance(row, dict) else None

@@ -31,7 +31,7 @@ ORIGIN = "own"  # value of `source` in the rows of shapes that a user gave
 def write_truth(root: Path, records: Mapping[str, LabelRecord]) -> list[str]:
     """Write the truth of confirmed scenes, by scene id; returns the scenes of the folder that are without truth.
 
-    Raises InputError where a body is not confirmed, or where two shapes of one name differ.
+    Raises InputError if a body is not confirmed, or where two shapes of one name differ.
     """
     dataset = Dataset(root)
     shards = dataset.shards(SPLIT)

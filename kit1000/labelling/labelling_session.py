@@ -98,7 +98,7 @@ def picture_path(root: Path, scene_id: str) -> Path:
 def confirm(scenes: OwnScenes, names: Sequence[str], person: str) -> list[LabelRecord]:
     """Confirm bodies of the scenes and write the truth of those whose bodies are all confirmed; returns the records.
 
-    Raises InputError where a scene was not registered yet.
+    Raises InputError if a scene was not registered yet.
     """
     records = []
     for scene_id in scenes.scene_ids:

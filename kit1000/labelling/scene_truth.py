@@ -65,7 +65,7 @@ def labelled_scene(
 ) -> tuple[Observation, SceneTruth]:
     """The observation with the masks and queries of its labelled parts alone, and its ground truth.
 
-    Raises InputError where a body is not confirmed, or belongs to another image.
+    Raises InputError if a body is not confirmed, or belongs to another image.
     """
     waiting = [body.name for body in record.bodies if not body.confirmed_by]
     if waiting:

@@ -158,7 +158,7 @@ class PlacedFits:
         raise InputError(f"{self.dataset.root}: split {self.split} has no query of {TRACK} with a fit in its slot")
 
     def of(self, query_id: str) -> PlacedFit | None:
-        """The best fit of a query; None where there is none, and where it is in another slot."""
+        """The best fit of a query; None if there is none, and where it is in another slot."""
         if query_id not in self._kept:
             self._kept[query_id] = self._read(query_id)
         return self._kept[query_id]
@@ -201,7 +201,7 @@ class PlacedFits:
 
 
 def _encoded(fit: PlacedFit | None) -> bytes:
-    """As a compressed file of numpy, empty where there is no fit."""
+    """As a compressed file of numpy, empty if there is no fit."""
     file = io.BytesIO()
     channels, twist = (NONE, NONE) if fit is None else (fit.channels, fit.twist)
     np.savez_compressed(file, channels=channels, twist=twist)
