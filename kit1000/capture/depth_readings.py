@@ -23,7 +23,8 @@ FAR_BETTER = 1.25  # ratio of both shares, from which on a reading is taken for 
 NEAR_TABLE, FAR_TABLE = 0.12, 1.5  # [m] of the camera above a table
 SMALL_KIT, LARGE_KIT = 30e-3, 0.4  # [m] longer side of a kit
 FINE_UNITS = (1e-4, 2e-4, 2.5e-4)  # [m] usual units beside 1 mm
-MIDDLE_DEPTH = 0.7  # [m] median depth that disparities are scaled to
+MIDDLE_DEPTH = 0.7  # [m] median depth that values without a unit are scaled to
+NEAR_ENDS = (0.25, 0.5, 1.0, 2.0)  # ratios of the near end of a range to the median code above it, which are tried
 
 
 class Reading(NamedTuple):
@@ -102,11 +103,12 @@ def _best_reading(frame: DepthFrame, known: Intrinsics, unit: float, share: floa
     share: of the pixels with a return on the table that was found; 0: none was found. The text is empty if no reading
     has a far larger one.
     """
-    readings = [_as_rays] if share >= DOUBTFUL_SHARE else [_in_another_unit, _with_swapped_bytes, _as_rays, _inverted]
-    found = [reading(frame, known, unit) for reading in readings]
-    likely = [each for each in found if each is not None and each.share >= max(FAR_BETTER * share, CLEAR_SHARE)]
-    if likely:
-        return max(likely, key=lambda reading: reading.share).text
+    several = [_in_another_unit, _with_swapped_bytes, _as_rays, _inverted]
+    for readings in ([_as_rays],) if share >= DOUBTFUL_SHARE else (several, [_as_codes]):  # codes fit much else too
+        found = [reading(frame, known, unit) for reading in readings]
+        likely = [each for each in found if each is not None and each.share >= max(FAR_BETTER * share, CLEAR_SHARE)]
+        if likely:
+            return max(likely, key=lambda reading: reading.share).text
     return "" if share else ": no usual unit, order of bytes or kind of value shows a table: is it a depth image?"
 
 
@@ -150,6 +152,18 @@ def _inverted(frame: DepthFrame, known: Intrinsics, _: float) -> Reading | None:
     return Reading(
         share, "; the values fall with distance, as disparities: give depth = focal length x baseline / disparity"
     )
+
+
+def _as_codes(frame: DepthFrame, known: Intrinsics, _: float) -> Reading | None:
+    values, middle = _positive(frame)
+    shares = [
+        _share_and_distance(
+            np.where(values > 0, (values / middle + near) * MIDDLE_DEPTH / (1 + near), 0), known, frame.source
+        )[0]
+        for near in NEAR_ENDS
+    ]
+    text = "; the values fit as codes of a range: give depth = near + code x (far - near) / largest code"
+    return Reading(max(shares), text)
 
 
 def _positive(frame: DepthFrame) -> tuple[np.ndarray, float]:

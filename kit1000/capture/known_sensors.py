@@ -12,8 +12,8 @@ BASELINES = {  # [m] from the data sheets
     "D455": 0.095,
     "D456": 0.095,
 }
-UNITS = {"D405": 1e-4}  # [m] that 1 stands for, if it is not 1 mm
-MILLIMETRES = re.compile(r"D4[0-9]{2}|kinect|l515|orbbec|femto|gemini|zed|oak", re.IGNORECASE)
+UNITS = {"D405": 1e-4, "L515": 2.5e-4}  # [m] that 1 stands for by default, if it is not 1 mm
+MILLIMETRES = re.compile(r"D4[0-9]{2}|kinect|femto|zed|oak", re.IGNORECASE)
 SCANNERS = re.compile(r"phoxi|photoneo|structured.?light", re.IGNORECASE)
 TIME_OF_FLIGHT = re.compile(r"kinect|l515|femto|tof|picoflexx", re.IGNORECASE)
 

@@ -138,7 +138,11 @@ def _depth_topic(recording: _Recording, wanted: str | None) -> str:
     found = [*plain, *packed]
     if not found:
         names = _listed(images or sorted(recording.channels))
-        raise InputError(f"{recording.path}: no depth topic among {names}; name one with --topic, or record depth")
+        bare = sorted(topic for topic, (_, schema) in recording.channels.items() if schema is None)
+        without = f"; {_listed(bare)}: messages without a schema are not read" if bare else ""
+        raise InputError(
+            f"{recording.path}: no depth topic among {names}{without}; name one with --topic, or record depth"
+        )
     if len(found) > 1:
         raise InputError(f"{recording.path}: {len(found)} depth topics, {_listed(found)}; choose one with --topic")
     return found[0]

@@ -219,6 +219,7 @@ NO_DEPTH: dict[str, tuple[np.ndarray, str]] = {
     "swapped bytes": (millimetres(METRES).byteswap(), "both bytes of each value swapped"),
     "ray lengths": (millimetres(rays(METRES)), "lengths of rays"),
     "disparities": (disparities(METRES).astype(np.float32), "disparities"),
+    "codes of a range": (np.rint(np.clip((METRES - 0.4) / 0.8, 0, 1) * 60000).astype(np.uint16), "codes of a range"),
 }
 
 
@@ -294,6 +295,17 @@ def test_a_recording_without_chunks_is_whole(tmp_path: Path) -> None:
     path = bag(tmp_path / "bag.mcap", CALIBRATED, (RECT, image()))
     recompressed(path, tmp_path / "plain.mcap", use_chunking=False)
     np.testing.assert_array_equal(read(tmp_path / "plain.mcap")[0].values, DEPTH)
+
+
+def test_messages_without_a_schema_are_named(tmp_path: Path) -> None:
+    with open(tmp_path / "bare.mcap", "wb") as out:
+        writer = McapWriter(out)
+        writer.start()
+        channel = writer.register_channel("/depth", "cdr", 0)
+        writer.add_message(channel, 1, b"1234", 1)
+        writer.finish()
+    with pytest.raises(InputError, match="/depth: messages without a schema"):
+        read(tmp_path / "bare.mcap")
 
 
 @pytest.mark.parametrize(("encoding", "fact"), [("ros1", "rosbags-convert"), ("json", "protobuf"), ("cdr", "ros2idl")])
