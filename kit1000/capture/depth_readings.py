@@ -104,12 +104,15 @@ def _best_reading(frame: DepthFrame, known: Intrinsics, unit: float, share: floa
     has a far larger one.
     """
     several = [_in_another_unit, _with_swapped_bytes, _as_rays, _inverted]
+    text = ""
     for readings in ([_as_rays],) if share >= DOUBTFUL_SHARE else (several, [_as_codes]):  # codes fit much else too
         found = [reading(frame, known, unit) for reading in readings]
         likely = [each for each in found if each is not None and each.share >= max(FAR_BETTER * share, CLEAR_SHARE)]
         if likely:
-            return max(likely, key=lambda reading: reading.share).text
-    return "" if share else ": no usual unit, order of bytes or kind of value shows a table: is it a depth image?"
+            share, text = max(likely, key=lambda reading: reading.share)
+    if text or share:
+        return text
+    return ": no usual unit, order of bytes or kind of value shows a table: is it a depth image?"
 
 
 def _in_another_unit(frame: DepthFrame, known: Intrinsics, unit: float) -> Reading | None:
