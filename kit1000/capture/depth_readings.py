@@ -18,8 +18,9 @@ from kit1000.errors import InputError
 
 DOUBTFUL_SHARE = 0.5  # of the pixels with a return: with a smaller table all other readings are tried,
 ROUND_SHARE = 0.8  # with a smaller one lengths of rays, which bend a table
-CLEAR_SHARE = 0.25  # of the pixels with a return on a table, for a reading that is proposed
-FAR_BETTER = 1.25  # ratio of both shares, from which on a reading is taken for the right one
+SURE_SHARE = 0.75  # of them on the table of a reading that is surely right: codes of a range reach 0.6 on true depths
+UNIT_SHARE = 0.5  # ratio of a unit's table to that of the best other reading, at least
+FAR_BETTER = 1.25  # ratio of the shares of a surely right reading and of the next one, at least
 NEAR_TABLE, FAR_TABLE = 0.12, 1.5  # [m] of the camera above a table
 SMALL_KIT, LARGE_KIT = 30e-3, 0.4  # [m] longer side of a kit
 FINE_UNITS = (1e-4, 2e-4, 2.5e-4)  # [m] usual units beside 1 mm
@@ -98,21 +99,23 @@ def _scene_text(distance: float, short: float, long: float) -> str:
 
 
 def _best_reading(frame: DepthFrame, known: Intrinsics, unit: float, share: float) -> str:
-    """The other reading with the largest table, as the end of a message.
+    """The reading that surely fits better, else the unit with which a table is found, as the end of a message.
 
-    share: of the pixels with a return on the table that was found; 0: none was found. The text is empty if no reading
-    has a far larger one.
+    share: of the pixels with a return on the table that was found; 0: none was found. The text is empty if there is a
+    table and no reading surely fits better.
     """
-    several = [_in_another_unit, _with_swapped_bytes, _as_rays, _inverted]
-    text = ""
-    for readings in ([_as_rays],) if share >= DOUBTFUL_SHARE else (several, [_as_codes]):  # codes fit much else too
-        found = [reading(frame, known, unit) for reading in readings]
-        likely = [each for each in found if each is not None and each.share >= max(FAR_BETTER * share, CLEAR_SHARE)]
-        if likely:
-            share, text = max(likely, key=lambda reading: reading.share)
-    if text or share:
-        return text
-    return ": no usual unit, order of bytes or kind of value shows a table: is it a depth image?"
+    kinds = [_as_rays] if share >= DOUBTFUL_SHARE else [_with_swapped_bytes, _as_rays, _inverted]
+    found = [reading for kind in kinds if (reading := kind(frame, known, unit)) is not None]
+    best = max(found, key=lambda reading: reading.share, default=Reading(0.0, ""))
+    if share < DOUBTFUL_SHARE:
+        codes = _as_codes(frame, known, unit)
+        best = codes if codes.share >= max(SURE_SHARE, FAR_BETTER * best.share) else best
+    if best.share >= max(SURE_SHARE, FAR_BETTER * share):
+        return best.text
+    other = None if share else _in_another_unit(frame, known, unit)
+    if other is not None and other.share > UNIT_SHARE * best.share:
+        return other.text
+    return "" if share else ": no usual unit, order of bytes or kind of value shows a table: is it a depth image?"
 
 
 def _in_another_unit(frame: DepthFrame, known: Intrinsics, unit: float) -> Reading | None:
@@ -157,7 +160,7 @@ def _inverted(frame: DepthFrame, known: Intrinsics, _: float) -> Reading | None:
     )
 
 
-def _as_codes(frame: DepthFrame, known: Intrinsics, _: float) -> Reading | None:
+def _as_codes(frame: DepthFrame, known: Intrinsics, _: float) -> Reading:
     values, middle = _positive(frame)
     shares = [
         _share_and_distance(
