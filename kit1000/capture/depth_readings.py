@@ -110,11 +110,12 @@ def _best_reading(frame: DepthFrame, known: Intrinsics, unit: float, share: floa
     if share < DOUBTFUL_SHARE:
         codes = _as_codes(frame, known, unit)
         best = codes if codes.share >= max(SURE_SHARE, FAR_BETTER * best.share) else best
-    if best.share >= max(SURE_SHARE, FAR_BETTER * share):
-        return best.text
     other = None if share else _in_another_unit(frame, known, unit)
-    if other is not None and other.share > UNIT_SHARE * best.share:
+    surely = best.share >= max(SURE_SHARE, FAR_BETTER * share)
+    if other is not None and other.share >= (1.0 if surely else UNIT_SHARE) * best.share > 0:
         return other.text
+    if surely:
+        return best.text
     return "" if share else ": no usual unit, order of bytes or kind of value shows a table: is it a depth image?"
 
 
