@@ -124,7 +124,7 @@ def test_a_finished_shard_is_not_made_again(tmp_path: Path, monkeypatch: pytest.
     records = [make_shard(job) for job in jobs]
     monkeypatch.setattr(module, "make_scene", refusing_scene("train-0000", "train-0001", "val-0000", "test-0000"))
     assert [make_shard(job) for job in jobs] == records
-    assert [str(job) for job in jobs] == ["shard train/0000", "shard val/0000", "shard test/0000"]
+    assert [str(job) for job in jobs] == ["shard train/0000", "shard test/0000", "shard val/0000"]
     (tmp_path / "data/train/0000.truth.mcap").unlink()
     again = make_shard(jobs[0])
     assert again["refused"] == dict.fromkeys(

@@ -101,7 +101,7 @@ def test_a_page_opened_from_disk_can_be_searched_without_errors(site: Path, chro
     page.on("pageerror", lambda error: complaints.append(str(error)))
     page.goto((site / "index.html").as_uri())
     page.locator(".md-search__input").press_sequentially("penetration")
-    page.locator(".md-search-result__link[href*='task.html']").first.wait_for()
+    page.locator(".md-search-result__link[href*='metrics.html']").first.wait_for()
     assert not complaints
     page.close()
 
