@@ -50,13 +50,8 @@ def image_and_table(frames: Sequence[DepthFrame], known: Intrinsics, unit: float
             values are read in another way, which the message names.
     """
     first = frames[0]
-    for frame in frames[1:]:
-        if frame.values.shape != first.values.shape:
-            sizes = f"{frame.values.shape[::-1]} px, the first frame has {first.values.shape[::-1]}"
-            raise InputError(f"{frame.source}: {sizes}")
     try:
-        depth = mean_depth([metric_depth(frame, unit) for frame in frames])
-        image = pinhole_image(depth, known, first.source)
+        image = image_of_frames(frames, known, unit)
         table = find_table(image, first.source)
     except (UnlikelyDepth, NoTable) as error:
         raise InputError(f"{error}{_best_reading(first, known, unit, 0.0)}") from None
@@ -64,6 +59,16 @@ def image_and_table(frames: Sequence[DepthFrame], known: Intrinsics, unit: float
     if share < ROUND_SHARE and (better := _best_reading(first, known, unit, share)):
         raise InputError(f"{first.source}: the table fills {100 * share:.0f} % of the depths{better}")
     return image, table
+
+
+def image_of_frames(frames: Sequence[DepthFrame], known: Intrinsics, unit: float) -> PinholeImage:
+    """The median of frames, undistorted; raises InputError if they have several sizes, or no depths of a table."""
+    first = frames[0]
+    for frame in frames[1:]:
+        if frame.values.shape != first.values.shape:
+            sizes = f"{frame.values.shape[::-1]} px, the first frame has {first.values.shape[::-1]}"
+            raise InputError(f"{frame.source}: {sizes}")
+    return pinhole_image(mean_depth([metric_depth(frame, unit) for frame in frames]), known, first.source)
 
 
 def table_share(table: Table) -> float:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from kit1000.capture.depth_frames import DepthFrame, assumed_unit, stated_unit
-from kit1000.capture.depth_readings import check_assumed_unit, image_and_table
+from kit1000.capture.depth_readings import check_assumed_unit, image_and_table, image_of_frames
 from kit1000.capture.intrinsics import Intrinsics
 from kit1000.capture.known_sensors import is_scanner, known_baseline
 from kit1000.capture.mask_networks import cut_back
@@ -87,9 +87,10 @@ def own_scene(
     known = frame_intrinsics(first, intrinsics)
     stated = stated_unit(first, known, options.depth_scale, options.device)
     unit = stated or assumed_unit(first)
-    image, table = image_and_table(frames, known, unit)
-    floor = None
-    if empty is not None:
+    if empty is None:
+        (image, table), floor = image_and_table(frames, known, unit), None
+    else:  # bodies may hide nearly all of the table, so it is not searched again
+        image = image_of_frames(frames, known, unit)
         table, floor = _on_empty_table(image, source, empty)
     bodies = seen_bodies(table, floor)
     chosen = _with_kit_first(bodies.sure, options.kit, source, table)
