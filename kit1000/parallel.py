@@ -113,7 +113,10 @@ def _sigint_blocked() -> Iterator[None]:
 
 def start_worker(parent: int) -> None:
     """Set up a worker process: it uses one thread, and ends when the process with the id `parent` is gone."""
+    from joblib.externals.loky import process_executor
+
     os.environ.update({name: os.environ.get(name, value) for name, value in ONE_THREAD_ENV.items()})
+    process_executor._MAX_MEMORY_LEAK_SIZE = sys.maxsize  # 0.3 GB of cached parts and kits are no leak of memory
 
     def watch() -> None:
         while os.getppid() == parent:

@@ -6,10 +6,12 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from kit1000.errors import InputError, InternalError, Kit1000Error
@@ -17,6 +19,7 @@ from kit1000.parallel import JOBS_PER_WORKER, engine, local_engine, usable_cores
 from tests.samples.checkout import ROOT
 from tests.samples.jobs import all_end, fail_at_three, kill_own_process, signalled, square
 
+HELD: list[np.ndarray] = []  # by the workers of a test
 WORKERS = pytest.mark.parametrize("workers", [1, 2])
 
 
@@ -53,6 +56,18 @@ def test_few_jobs_are_submitted_ahead_and_a_run_may_end_early() -> None:
 
 def thread_limits(_: int) -> list[str | None]:
     return [os.environ.get(f"{name}_NUM_THREADS") for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")]
+
+
+def grow(_: int) -> int:
+    HELD.append(np.ones(45_000_000))  # 0.36 GB
+    time.sleep(1.1)  # joblib measures once a second
+    return os.getpid()
+
+
+def test_a_worker_may_fill_its_caches(recwarn: pytest.WarningsRecorder) -> None:
+    with local_engine(2) as parallel_map:
+        assert len(set(parallel_map(grow, range(6)))) == 2
+    assert not recwarn.list
 
 
 def test_a_worker_has_one_thread() -> None:

@@ -29,8 +29,10 @@ from kit1000.values import Part
 
 COLOURS = {"kit": (224, 219, 210), "part": (238, 122, 40)}  # sRGB, those of the pictures
 REPORT = "report.json"  # written last: if it exists, the other files are complete and of the same part
+KIT_FILES = ("kit.stl", "part.stl", "seated.glb", "preview.png")
 FILES = "files"  # entry of a report: SHA-256 of the files beside it, by name
 PREVIEW = "preview.png"
+BEGUN = ".begun"  # beside the files while they are written: a run that is killed leaves it
 
 
 class InexactKit(Kit1000Error):
@@ -176,8 +178,9 @@ def _stranger(folder: Path) -> Path | None:
     is_ours = report == with_checksum(report) and isinstance(report.get(FILES), dict)
     is_of_several = all(isinstance(row, str) or (isinstance(row, dict) and FILES in row) for row in report.values())
     written = report[FILES] if is_ours else {}
+    begun = KIT_FILES if (folder / BEGUN).is_file() else ()
     for entry in sorted(folder.iterdir()) if folder.is_dir() else []:
-        if entry.name.startswith("."):
+        if entry.name.startswith(".") or entry.name in begun:
             continue
         if entry.is_dir():
             found = _stranger(entry)
@@ -202,16 +205,16 @@ def _read_report(path: Path) -> dict[str, Any]:
 def _make_and_write(reading: MeshReading, place: str, out: Path, options: KitOptions) -> dict[str, Any]:
     """Make the kit of a part and write it to a folder; returns the report. `place` begins every message."""
     files, report = make_kit(reading, place, options)
-    earlier = _read_report(out / REPORT).get(FILES, {})
     clear_partial(out, *files, REPORT)
+    write_bytes(out / BEGUN, b"")
     (out / REPORT).unlink(missing_ok=True)
-    for name in earlier:
-        if name not in files:
-            (out / name).unlink(missing_ok=True)
+    if PREVIEW not in files:  # that of an earlier run would show another kit
+        (out / PREVIEW).unlink(missing_ok=True)
     for name, data in files.items():
         write_bytes(out / name, data)
     complete = with_checksum(report | {FILES: {name: hashlib.sha256(data).hexdigest() for name, data in files.items()}})
     write_json(out / REPORT, complete)
+    (out / BEGUN).unlink()
     return complete
 
 

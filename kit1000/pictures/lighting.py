@@ -1,22 +1,25 @@
 """Lighting of pictures: a soft key light and a sky, both sampled by lamps with hard shadows from shadow maps.
 
-A shadow map is a depth image from far away in the direction of its lamp. Averaged over enough lamps, shadows become
-soft, corners and cavities darken as under a cloudy sky, and bodies have contact shadows on the ground. Colours are
-linear, 1 = white.
+A shadow map is a depth image rendered from far away in the direction of its lamp. Averaged over enough lamps, shadows
+become soft, corners and cavities darken as under a cloudy sky, and bodies have contact shadows on the ground. Colours
+are linear, 1 = white.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from kit1000.camera import Camera
+from kit1000.mesh import Mesh
 from kit1000.numerics.compiled import compiled
-from kit1000.pose import Pose, quaternion_between
+from kit1000.pose import Pose, quaternion_between, quaternion_multiply
+from kit1000.sim.render import render
 
 KEY_LAMPS, SKY_LAMPS = 24, 40  # samples of the key light and of the sky
 MAP_SIZE = 384  # [px] side of a shadow map
-MAP_SLACK = 1e-6  # [px] by which a triangle is widened in a shadow map, so that no pixel between two is lost
 LAMP_DISTANCE = 1000.0  # in radii of the scene: rays are parallel to a quarter of a texel
 KEY_SPREAD = 0.16  # sine of the half angle of the key light: its shadows are soft but have a shape
 KEY_COLOUR = (0.62, 0.60, 0.56)  # warm; with the sky, a level surface has its own colour, slightly lighter
@@ -74,26 +77,26 @@ def open_light(normals: np.ndarray, key: np.ndarray, up: np.ndarray) -> np.ndarr
     return key_light * COLOURS[0] + (1 - below) * COLOURS[1] + below * COLOURS[2]
 
 
-def place_lamps(corners: np.ndarray, centre: np.ndarray, radius: float, towards: np.ndarray) -> Lamps:
-    """Lamps for triangles (m, 3, 3) within a ball [m]; the key light is in the direction `towards` (3,)."""
-    texel = 2 * radius / (MAP_SIZE - 4)
+def place_lamps(bodies: Sequence[tuple[Mesh, Pose]], centre: np.ndarray, radius: float, towards: np.ndarray) -> Lamps:
+    """Lamps for bodies within a ball [m]; the key light is in the direction `towards` (3,).
+
+    Each lamp has another roll, so that the pixel grids of their maps are not aligned.
+    """
+    texel, distance, middle = 2 * radius / (MAP_SIZE - 4), LAMP_DISTANCE * radius, (MAP_SIZE - 1) / 2
+    camera = Camera(MAP_SIZE, MAP_SIZE, distance / texel, distance / texel, middle, middle)
     key, sky = _key_directions(towards), _sky_directions()
     directions = np.concatenate([key, sky])
-    map_from_world = _parallel_projections(directions, centre, LAMP_DISTANCE * radius)
+    map_from_world, maps = np.empty((len(directions), 3, 4)), []
+    for number, direction in enumerate(directions):
+        roll = Pose.from_rotvec((0.0, 0.0, GOLDEN_ANGLE * number)).wxyz
+        wxyz = quaternion_multiply(quaternion_between((0.0, 0.0, 1.0), -direction), roll)
+        world_from_lamp = Pose(wxyz, centre + distance * direction)
+        map_from_world[number] = world_from_lamp.inverse().matrix()[:3]
+        maps.append(render(camera, world_from_lamp, bodies, threads=1).depth)
     map_from_world[:, :2] /= texel
-    map_from_world[:, :2, 3] += (MAP_SIZE - 1) / 2
+    map_from_world[:, :2, 3] += middle
     weights = np.concatenate([np.full(len(key), 1 / key[:, 2].sum()), np.full(len(sky), 1 / sky[:, 2].sum())])
-    return Lamps(directions, weights, map_from_world, shadow_maps(corners, map_from_world, MAP_SIZE), texel, len(key))
-
-
-def shadow_maps(corners: np.ndarray, map_from_world: np.ndarray, size: int) -> np.ndarray:
-    """(L, size, size) float32 [m] depth of the nearest of triangles (m, 3, 3), 0 where there is none.
-
-    map_from_world: (L, 3, 4) of each lamp, from a point (x, y, z, 1) to column, row [px] and depth [m].
-    """
-    maps = np.zeros((len(map_from_world), size, size), np.float32)
-    _fill(np.ascontiguousarray(corners), np.ascontiguousarray(map_from_world), maps)
-    return maps
+    return Lamps(directions, weights, map_from_world, np.stack(maps), texel, len(key))
 
 
 def _key_directions(towards: np.ndarray) -> np.ndarray:
@@ -110,66 +113,6 @@ def _sky_directions() -> np.ndarray:
     z, angle = 0.1 + 0.9 * (count + 0.5) / SKY_LAMPS, GOLDEN_ANGLE * count
     radius = np.sqrt(1 - z**2)
     return np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)
-
-
-def _parallel_projections(directions: np.ndarray, centre: np.ndarray, distance: float) -> np.ndarray:
-    """(L, 3, 4) [m] from a point (x, y, z, 1) to its place across rays from directions (L, 3), and along them.
-
-    The centre (3,) [m] is in the middle, at a distance [m]. Each lamp has another roll, so that the pixel grids of
-    their maps are not aligned.
-    """
-    aside = np.cross(directions, np.eye(3)[np.abs(directions).argmin(1)])
-    aside /= np.linalg.norm(aside, axis=1, keepdims=True)
-    above, roll = np.cross(directions, aside), GOLDEN_ANGLE * np.arange(len(directions))[:, None]
-    c, s = np.cos(roll), np.sin(roll)
-    axes = np.stack([c * aside + s * above, c * above - s * aside, -directions], axis=1)
-    ends = -np.einsum("kij,j->ki", axes, centre)
-    ends[:, 2] += distance
-    return np.concatenate([axes, ends[..., None]], axis=2)
-
-
-@compiled
-def _fill(corners, map_from_world, maps):
-    height, width = maps.shape[1], maps.shape[2]
-    u, v, w = np.empty(3), np.empty(3), np.empty(3)
-    for k in range(maps.shape[0]):
-        for t in range(corners.shape[0]):
-            for i in range(3):
-                x, y, z = corners[t, i, 0], corners[t, i, 1], corners[t, i, 2]
-                m = map_from_world
-                u[i] = m[k, 0, 0] * x + m[k, 0, 1] * y + m[k, 0, 2] * z + m[k, 0, 3]
-                v[i] = m[k, 1, 0] * x + m[k, 1, 1] * y + m[k, 1, 2] * z + m[k, 1, 3]
-                w[i] = m[k, 2, 0] * x + m[k, 2, 1] * y + m[k, 2, 2] * z + m[k, 2, 3]
-            top = max(np.ceil(min(v[0], v[1], v[2]) - MAP_SLACK), 0.0)
-            bottom = min(np.floor(max(v[0], v[1], v[2]) + MAP_SLACK), height - 1.0)
-            if top > bottom:
-                continue
-            area = (u[1] - u[0]) * (v[2] - v[0]) - (u[2] - u[0]) * (v[1] - v[0])
-            if area == 0.0:
-                continue
-            along = ((w[1] - w[0]) * (v[2] - v[0]) - (w[2] - w[0]) * (v[1] - v[0])) / area
-            down = ((u[1] - u[0]) * (w[2] - w[0]) - (u[2] - u[0]) * (w[1] - w[0])) / area
-            nearest, farthest = min(w[0], w[1], w[2]), max(w[0], w[1], w[2])
-            for row in range(int(top), int(bottom) + 1):
-                left, right = np.inf, -np.inf
-                for i in range(3):
-                    j = (i + 1) % 3
-                    if min(v[i], v[j]) <= row + MAP_SLACK and max(v[i], v[j]) >= row - MAP_SLACK:
-                        across = u[j] - u[i]
-                        share = 0.0
-                        if v[i] != v[j]:
-                            share = min(max((row - v[i]) / (v[j] - v[i]), 0.0), 1.0)
-                        else:
-                            left, right = min(left, u[j]), max(right, u[j])
-                        left, right = min(left, u[i] + share * across), max(right, u[i] + share * across)
-                first, last = max(np.ceil(left - MAP_SLACK), 0.0), min(np.floor(right + MAP_SLACK), width - 1.0)
-                if first > last:
-                    continue
-                base = w[0] + down * (row - v[0]) - along * u[0]
-                for column in range(int(first), int(last) + 1):
-                    depth = min(max(base + along * column, nearest), farthest)
-                    if maps[k, row, column] == 0 or depth < maps[k, row, column]:
-                        maps[k, row, column] = depth
 
 
 @compiled

@@ -78,7 +78,7 @@ def shaded_picture(
     meshes = [(body.mesh, body.pose) for body in bodies]
     scene, patches = _shading_scene(bodies)
     centre, radius = _bounding_ball(scene.corners.reshape(-1, 3))
-    lamps = place_lamps(scene.corners, centre, radius, _key_direction(world_from_camera))
+    lamps = place_lamps(meshes, centre, radius, _key_direction(world_from_camera))
     viewer = (world_from_camera.rotation_matrix(), world_from_camera.xyz)
     behind = np.full((camera.height, camera.width, 3), _linear(background), np.float32)
     if ground:

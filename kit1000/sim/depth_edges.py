@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from kit1000.numerics.compiled import compiled
+from kit1000.sim.stereo import slopes
 
 SEEN_STEP = 1.0  # [px] smallest jump at which a near surface extends over a far one
 
@@ -49,7 +50,7 @@ def _extend(d, v, u, radius, out):
     """Write the surface at row v, column u to the pixels within `radius` px that see farther surfaces."""
     rows, columns = d.shape
     here = d[v, u]
-    across, down = _slope(here, d[v, u - 1], d[v, u + 1]), _slope(here, d[v - 1, u], d[v + 1, u])
+    across, down = slopes(d, v, u)
     whole = int(radius)
     for y in range(max(v - whole, 1), min(v + whole + 1, rows - 1)):
         for x in range(max(u - whole, 1), min(u + whole + 1, columns - 1)):
@@ -58,17 +59,6 @@ def _extend(d, v, u, radius, out):
             value = here + across * (x - u) + down * (y - v)
             if value > d[y, x] + SEEN_STEP and value > out[y, x]:
                 out[y, x] = value
-
-
-@compiled
-def _slope(here, before, after):
-    """The smaller of two one-sided slopes [px/px] of neighbours with a surface; 0 without any."""
-    back, ahead = here - before, after - here
-    if before == 0 and after == 0:
-        return np.float32(0)
-    if before == 0 or (after != 0 and abs(ahead) < abs(back)):
-        return ahead
-    return back
 
 
 @compiled

@@ -31,19 +31,17 @@ def disparity_from_depth(depth, gain):
 
 @compiled
 def _smaller_slope(here, before, after):
-    """The smaller of two one-sided slopes [px/px]; a side without a surface has none, and without any it is 0."""
+    """The smaller of two one-sided slopes [px/px] of neighbours with a surface; 0 without any."""
     back, ahead = here - before, after - here
-    if before == 0:
-        back = ahead
-    if after == 0:
-        ahead = back
     if before == 0 and after == 0:
         return np.float32(0)
-    return ahead if abs(ahead) < abs(back) else back
+    if before == 0 or (after != 0 and abs(ahead) < abs(back)):
+        return ahead
+    return back
 
 
 @compiled
-def _slopes(d, v, u):
+def slopes(d, v, u):
     """Slope of the disparity [px/px], across and down, of the surface at row v, column u."""
     here = d[v, u]
     return _smaller_slope(here, d[v, u - 1], d[v, u + 1]), _smaller_slope(here, d[v - 1, u], d[v + 1, u])
@@ -108,7 +106,7 @@ def grazing_mask(d, intrinsics, field, start, end):
     for v in range(1, rows - 1):
         y = (v - 1 - cy) / fy
         for u in range(1, columns - 1):
-            across, down = _slopes(d, v, u)
+            across, down = slopes(d, v, u)
             x = (u - 1 - cx) / fx
             a, b = fx * across, fy * down
             c = d[v, u] - a * x - b * y  # (a, b, c) is along the normal, and its product with the ray is d

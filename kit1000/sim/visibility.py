@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kit1000.camera import Camera
+from kit1000.camera import NEAREST, Camera
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh
 from kit1000.numerics.compiled import compiled
@@ -35,6 +35,7 @@ MAX_SLOPE = 10e-3  # [m] change of a surface's depth within half a pixel; at 1 m
 RIM_MARGIN = 0.3e-3  # [m] of a cavity's pixels below the top face: well over the 0.12 mm step of recorded depths
 ANGLE_DECIMALS = 9  # of a recorded angle [rad]: the last bits of an arctangent differ between processors
 PLASTIC = 1.3247179572447460 ** -np.arange(1.0, 3.0)  # two steps; the plastic number solves x^3 = x + 1
+UNBOUNDED = np.array([1e9, 1e9])  # [px] farther than any body extends in an image
 SIDE_MARGIN = 0.5e-3  # [m] of a cavity's pixels inside the plate's other faces
 
 
@@ -80,11 +81,10 @@ def silhouette_pixels(camera: Camera, world_from_camera: Pose, mesh: Mesh, world
 
     Only its bounding box is rendered: a camera with a shifted principal point sees exactly the same pixels.
     """
-    bounds = _pixel_bounds(camera, (world_from_camera.inverse() @ world_from_part).apply(mesh.vertices))
-    if bounds is None:
+    points = (world_from_camera.inverse() @ world_from_part).apply(mesh.vertices)
+    if points[:, 2].min() < NEAREST:
         raise InputError("part: expected one wholly in front of the camera, got vertices behind it")
-    (left, top), (right, bottom) = bounds.astype(int)
-    around = Camera(right - left, bottom - top, camera.fx, camera.fy, camera.cx - left, camera.cy - top)
+    _, _, around = camera.window(points, -UNBOUNDED, UNBOUNDED)
     return int(np.count_nonzero(render(around, world_from_camera, [(mesh, world_from_part)], threads=1).body_ids))
 
 
@@ -134,13 +134,13 @@ def cavity_labels(
         raise InputError(f"kits: expected one for each of {len(world_from_kits)} poses, got {len(kits)}")
     labels = np.full(depth.shape, -1, np.int16)
     intrinsics, camera_from_world = Intrinsics.of(camera), world_from_camera.inverse()
-    size = np.array([camera.width, camera.height])
+    size = (camera.width, camera.height)
     for number, (kit, world_from_kit) in enumerate(zip(kits, world_from_kits, strict=True)):
         camera_from_kit = camera_from_world @ world_from_kit
         low = kit.extent * (-0.5, -0.5, -1) + SIDE_MARGIN
         high = np.array([*(kit.extent[:2] / 2 - SIDE_MARGIN), -RIM_MARGIN])
-        bounds = _pixel_bounds(camera, camera_from_kit.apply(_box_corners(low, high)))
-        window = np.clip([[0, 0], size] if bounds is None else bounds, 0, size).astype(int)
+        left, top, seen = camera.window(camera_from_kit.apply(_box_corners(low, high)), (0, 0), size)
+        window = np.array([[left, top], [left + seen.width, top + seen.height]])
         rotation, translation = camera_from_kit.rotation_matrix(), camera_from_kit.xyz
         _label_box(intrinsics, depth, window, rotation, translation, low, high, number, labels)
     return labels
@@ -212,15 +212,6 @@ def _rotated(rotation, vectors, i):
 def _box_corners(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """(8, 3) corners of a box."""
     return np.array(np.meshgrid(*np.stack([low, high], axis=1))).reshape(3, 8).T
-
-
-def _pixel_bounds(camera: Camera, points: np.ndarray) -> np.ndarray | None:
-    """First and last + 1 pixel (2, 2) x, y that can show the hull of points (k, 3) [m] in the camera frame.
-
-    None if the hull extends behind the camera, since its image is then unbounded.
-    """
-    uv = camera.project(points)
-    return None if np.isnan(uv).any() else np.stack([np.floor(uv.min(0)), np.ceil(uv.max(0)) + 1])
 
 
 @compiled

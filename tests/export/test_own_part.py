@@ -151,7 +151,7 @@ def test_another_run_over_the_same_folder_replaces_everything(out: Path, tmp_pat
 def test_an_interrupted_run_leaves_complete_files_and_no_report(
     out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    folder, replace, left = tmp_path / "out", os.replace, 2
+    folder, replace, left = tmp_path / "out", os.replace, 3
     part = write_stl(tmp_path / "corner.stl", l_shape())
     make_kit_from_file(part, folder, KitOptions(2e-3))
     earlier, whole = file_hashes(folder), file_hashes(out)
@@ -168,7 +168,10 @@ def test_an_interrupted_run_leaves_complete_files_and_no_report(
         with pytest.raises(KeyboardInterrupt):
             make_kit_from_file(part, folder)
     expected = {name: whole[name] if name in ("kit.stl", "part.stl") else earlier[name] for name in FILES}
-    assert file_hashes(folder) == {name: digest for name, digest in expected.items() if name != "report.json"}
+    left_over = {name: digest for name, digest in file_hashes(folder).items() if not name.startswith(".")}
+    assert left_over == {name: digest for name, digest in expected.items() if name != "report.json"}
+    make_kit_from_file(part, folder)
+    assert file_hashes(folder) == whole
 
 
 def test_nothing_is_written_when_no_kit_can_be_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from manifold3d import Manifold
 from PIL import Image
 
-from kit1000.camera import Camera, look_at
 from kit1000.errors import InputError
-from kit1000.mesh import Mesh, mesh_from_solid
+from kit1000.mesh import Mesh
 from kit1000.pictures import lighting
 from kit1000.pictures.creases import smooth_patches
-from kit1000.pictures.lighting import shadow_maps
 from kit1000.pictures.shading import (
     KIT,
     PAPER,
@@ -30,7 +25,6 @@ from kit1000.pictures.shading import (
     shaded_picture,
 )
 from kit1000.pose import Pose, random_quaternions
-from kit1000.sim.render import render
 
 IDENTITY = Pose.identity()
 ABOVE = (0.0, 0.0, 1.0)
@@ -170,7 +164,7 @@ def test_shading_normals_are_those_of_the_true_surface():
 def test_open_light_is_that_of_a_picture_of_a_face_that_nothing_shades():
     key, up = np.array((0.6, 0.0, 0.8)), np.array((0.0, 0.0, 1.0))
     normals = np.concatenate([np.eye(3), -np.eye(3), [key]])
-    lamps = lighting.place_lamps(BOX.triangles, np.zeros(3), 0.06, key)
+    lamps = lighting.place_lamps([(BOX, IDENTITY)], np.zeros(3), 0.06, key)
     found = lighting.open_light(normals, key, up)
     for normal, light in zip(normals, found, strict=True):
         shares = lamps.weights * np.maximum(lamps.directions @ normal, 0)
@@ -200,51 +194,3 @@ def test_a_contact_sheet_needs_as_many_labels_as_images():
         contact_sheet([np.zeros((2, 2, 3), np.uint8)], ["a", "b"])
     with pytest.raises(InputError, match="at least one image"):
         contact_sheet([], [])
-
-
-# Shadow maps
-
-MAP, FAR, TEXEL = 128, 500.0, 0.01
-SHAPES = {
-    "cube": mesh_from_solid(Manifold.cube((0.4, 0.3, 0.2), center=True)),
-    "ball": mesh_from_solid(Manifold.sphere(0.4, 40)),
-    "ring": mesh_from_solid(Manifold.cylinder(0.1, 0.5, 0.5, 60) - Manifold.cylinder(1, 0.3, 0.3, 60)),
-}
-
-
-def maps_from_far(mesh: Mesh, world_from_lamp: Pose) -> tuple[np.ndarray, np.ndarray]:
-    map_from_world = world_from_lamp.inverse().matrix()[:3].copy()
-    map_from_world[:2] /= TEXEL
-    map_from_world[:2, 3] += (MAP - 1) / 2
-    camera = Camera(MAP, MAP, FAR / TEXEL, FAR / TEXEL, (MAP - 1) / 2, (MAP - 1) / 2)
-    far = render(camera, world_from_lamp, [(mesh, Pose.identity())], threads=1).depth
-    return shadow_maps(mesh.triangles, map_from_world[None], MAP)[0], far
-
-
-@pytest.mark.parametrize("shape", SHAPES)
-@pytest.mark.parametrize("direction", [(0.0, 0.0, 1.0), (1.0, -0.4, 0.3), (-0.2, 0.5, 0.7)])
-def test_a_map_is_a_depth_image_from_far_away(shape: str, direction: tuple[float, float, float]) -> None:
-    away = np.array(direction) / np.linalg.norm(direction)
-    up = (0, 0, 1) if abs(away[2]) < 0.9 else (0, 1, 0)
-    own, far = maps_from_far(SHAPES[shape], look_at(np.zeros(3) + FAR * away, np.zeros(3), up=up))
-    both = (own > 0) & (far > 0)
-    assert both.sum() > 400
-    assert ((own > 0) != (far > 0)).mean() < 0.01  # along the outline
-    assert np.quantile(np.abs(own - far)[both], 0.98) < TEXEL / 2
-
-
-def test_the_nearest_surface_counts_and_triangles_outside_do_not() -> None:
-    square = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0]])
-    corners = np.array([square, square + [0, 0, 0.5], square + [50, 0, 2.0]])
-    down = np.array([[[10.0, 0, 0, 20], [0, 10.0, 0, 20], [0, 0, -1, 4]]])
-    found = shadow_maps(corners, down, 40)[0]
-    assert found[15, 25] == np.float32(3.5)
-    assert set(np.unique(found)) == {0, np.float32(3.5)}
-
-
-def test_triangles_that_share_an_edge_leave_no_gap() -> None:
-    rng = np.random.default_rng(3)
-    centre = rng.uniform(10, 30, 2)
-    rim = np.array([[0, 0], [40, 0], [40, 40], [0, 40], [0, 0]]) - 0.5
-    corners = np.array([[[*a, 0], [*b, 0], [*centre, 0]] for a, b in pairwise(rim)])
-    assert (shadow_maps(corners, np.eye(3, 4)[None] + np.array([0, 0, 0, 1.0]) * [[0], [0], [1]], 40) == 1).all()
