@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from kit1000.pose import Pose
 
 COPLANAR_SINE = 1e-9  # sine of the dihedral angle below which two faces count as coplanar
+PLASTIC = 1.3247179572447460 ** -np.arange(1.0, 3.0)  # two steps; the plastic number solves x^3 = x + 1
 FLAT_THICKNESS = 1e-5  # [m] a mesh of smaller mean thickness, 2 volume / area, is a sheet and no solid
 
 
@@ -225,6 +226,21 @@ def surface_points(mesh: Mesh, n: int, rng: np.random.Generator) -> np.ndarray:
     corners = mesh.triangles[rng.choice(len(areas), size=n, p=areas / areas.sum())]
     root, along = np.sqrt(rng.random((n, 1))), rng.random((n, 1))
     return (1 - root) * corners[:, 0] + root * (1 - along) * corners[:, 1] + root * along * corners[:, 2]
+
+
+def even_points(triangles: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """(n, 3) [m] points evenly spread over triangles (m, 3, 3), and the indices (n,) of their triangles.
+
+    The triangles are at even distances along their cumulative area. The places within them are an additive recurrence
+    (Roberts 2018), of which every subsequence of successive points is even in two dimensions.
+    """
+    corner, u, v = triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    total = np.cumsum(np.linalg.norm(np.cross(u, v), axis=1))
+    order = np.arange(n) + 0.5
+    face = np.searchsorted(total, order / n * total[-1])
+    a, b = (order[:, None] * PLASTIC % 1).T
+    a, b = np.where(a + b > 1, 1 - a, a), np.where(a + b > 1, 1 - b, b)  # fold the square onto the triangle
+    return corner[face] + a[:, None] * u[face] + b[:, None] * v[face], face
 
 
 def y_up(points: np.ndarray) -> np.ndarray:

@@ -105,10 +105,12 @@ def _other_readings(pose: Pose) -> Iterator[tuple[str, Pose]]:
     w, x, y, z = pose.wxyz
     scalar_last = Pose(np.array([z, w, x, y]), pose.xyz)
     yield "it fits as the inverse, camera_from_frame: invert it", pose.inverse()
-    yield "it fits with the axes of OpenGL (y up, z backward): rotate it by 180° about x of the camera", (
-        pose @ HALF_ROTATION_ABOUT_X
+    yield (
+        "it fits with the axes of OpenGL (y up, z backward): rotate it by 180° about x of the camera",
+        (pose @ HALF_ROTATION_ABOUT_X),
     )
     yield "it fits if its quaternion has the scalar last: give w first", scalar_last
-    yield "it fits as the inverse with the axes of OpenGL: invert it, then rotate by 180° about x of the camera", (
-        pose.inverse() @ HALF_ROTATION_ABOUT_X
+    yield (
+        "it fits as the inverse with the axes of OpenGL: invert it, then rotate by 180° about x of the camera",
+        (pose.inverse() @ HALF_ROTATION_ABOUT_X),
     )

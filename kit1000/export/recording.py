@@ -26,7 +26,7 @@ from kit1000.dataset.mcap_io.messages import (
 from kit1000.dataset.mcap_io.writing import PictureWriter
 from kit1000.dataset.mesh_files import glb_bytes
 from kit1000.errors import InputError, did_you_mean
-from kit1000.mesh import Mesh
+from kit1000.mesh import even_points
 from kit1000.metrics import PoseErrors, Targets, nearest_goal_motions, pose_errors
 from kit1000.pictures.depth_images import mask_picture
 from kit1000.pictures.shading import KIT, Colour, part_colour
@@ -84,18 +84,6 @@ def write_scene_recording(
     with PictureWriter(path, stamp) as writer:
         writer.add(scene_id, messages)
     return path
-
-
-def spread_points(mesh: Mesh, count: int = SURFACE_POINTS) -> np.ndarray:
-    """(count, 3) [m] points spread evenly over the surface of a mesh: a low-discrepancy sequence over its triangles."""
-    corners = mesh.triangles
-    edges = corners[:, 1:] - corners[:, :1]
-    ends = np.cumsum(np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1))
-    number = np.arange(count)
-    face = np.searchsorted(ends, (number + 0.5) / count * ends[-1])
-    share = number[:, None] * (0.7548776662466927, 0.5698402909980532) % 1  # the additive recurrence R2
-    share = np.where(share.sum(axis=1, keepdims=True) > 1, 1 - share, share)
-    return corners[face, 0] + np.einsum("ni,nij->nj", share, edges[face])
 
 
 def error_colours(error: np.ndarray) -> np.ndarray:
@@ -183,7 +171,8 @@ def _goals(
     ]
     errors = pose_errors(Pose.stack(moved), targets)
     nearest = nearest_goal_motions(targets, errors)
-    surfaces = [t.world_from_part.apply(spread_points(geometry.part(t.part_id).mesh)) for t in truths]
+    meshes = [geometry.part(truth.part_id).mesh.moved(truth.world_from_part) for truth in truths]
+    surfaces = [even_points(mesh.triangles, SURFACE_POINTS)[0] for mesh in meshes]
     seated = [motion.apply(points) for motion, points in zip(nearest, surfaces, strict=True)]
     yield poses_message("/goals", targets.goals @ targets.world_from_part[targets.query_of_goal], stamp)
     points = np.concatenate(seated)

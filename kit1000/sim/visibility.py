@@ -14,7 +14,7 @@ import numpy as np
 
 from kit1000.camera import NEAREST, Camera
 from kit1000.errors import InputError
-from kit1000.mesh import Mesh
+from kit1000.mesh import Mesh, even_points
 from kit1000.numerics.compiled import compiled
 from kit1000.numerics.linear_algebra import length, matmul
 from kit1000.pose import Pose
@@ -34,7 +34,6 @@ DEPTH_TOLERANCE = 1e-3  # [m] of a visible sample point behind the depth of its 
 MAX_SLOPE = 10e-3  # [m] change of a surface's depth within half a pixel; at 1 m, one seen at 86 degrees
 RIM_MARGIN = 0.3e-3  # [m] of a cavity's pixels below the top face: well over the 0.12 mm step of recorded depths
 ANGLE_DECIMALS = 9  # of a recorded angle [rad]: the last bits of an arctangent differ between processors
-PLASTIC = 1.3247179572447460 ** -np.arange(1.0, 3.0)  # two steps; the plastic number solves x^3 = x + 1
 UNBOUNDED = np.array([1e9, 1e9])  # [px] farther than any body extends in an image
 SIDE_MARGIN = 0.5e-3  # [m] of a cavity's pixels inside the plate's other faces
 
@@ -148,19 +147,9 @@ def cavity_labels(
 
 @lru_cache(maxsize=64)
 def cavity_surface(kit: Kit) -> CavitySurface:
-    """CAVITY_SAMPLES points of the cavity's surface, the same ones at every call.
-
-    Evenly spaced along the cumulative area of the faces, and distributed within them by the additive recurrence of the
-    plastic number (Roberts 2018), of which every subsequence of successive points is even in two dimensions.
-    """
+    """CAVITY_SAMPLES points evenly spread over the cavity's surface, the same ones at every call."""
     triangles, normals = _cavity_faces(kit)
-    corner, u, v = triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
-    total = np.cumsum(np.linalg.norm(np.cross(u, v), axis=1))
-    order = np.arange(CAVITY_SAMPLES) + 0.5
-    face = np.searchsorted(total, order / CAVITY_SAMPLES * total[-1])
-    a, b = (order[:, None] * PLASTIC % 1).T
-    a, b = np.where(a + b > 1, 1 - a, a), np.where(a + b > 1, 1 - b, b)  # fold the square onto the triangle
-    points = corner[face] + a[:, None] * u[face] + b[:, None] * v[face]
+    points, face = even_points(triangles, CAVITY_SAMPLES)
     surface = CavitySurface(points, normals[face])
     for array in surface:
         array.setflags(write=False)

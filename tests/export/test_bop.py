@@ -348,10 +348,3 @@ def test_nothing_is_left_of_an_export_that_fails(
     (tmp_path / "other").touch()
     with pytest.raises(InputError, match=f"{tmp_path} exists already"):
         write_bop(dataset, tmp_path)  # type: ignore[arg-type]
-
-
-def test_the_same_scene_gives_the_same_bytes(folder: Path, dataset: FakeDataset, tmp_path: Path) -> None:
-    write_bop(dataset, tmp_path / "again", ["test-s0001"])  # type: ignore[arg-type]
-    names = sorted(path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
-    assert names == sorted(p.relative_to(tmp_path / "again") for p in (tmp_path / "again").rglob("*") if p.is_file())
-    assert all((folder / name).read_bytes() == (tmp_path / "again" / name).read_bytes() for name in names)

@@ -20,7 +20,6 @@ from kit1000.dataset.mesh_files import read_glb
 from kit1000.errors import InputError
 from kit1000.export import own_part
 from kit1000.export.own_part import InexactKit, KitOptions, make_kit_from_file, make_kits
-from kit1000.files import PARTIAL
 from kit1000.kits.clearance import Clearance
 from kit1000.kits.height_fields import RELIEF_CELLS, lower_envelope, polar_relief
 from kit1000.kits.kit import design_kit, insertion_faces
@@ -68,10 +67,6 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def report(out: Path) -> dict[str, Any]:
     return json.loads((out / "report.json").read_bytes())
-
-
-def test_five_files_are_written(out: Path) -> None:
-    assert sorted(os.listdir(out)) == FILES
 
 
 def test_the_preview_shows_the_part_in_its_colour(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -136,16 +131,6 @@ def test_coarse_coordinates_are_a_warning(step: float, warned: bool, out: Path, 
     assert 0 < report["coordinate_step_mm"] < 1e-5
     text = kit_report_text(report | {"coordinate_step_mm": step}, out)
     assert ("warning    the file gives coordinates in steps of" in text) == warned
-
-
-def test_another_run_over_the_same_folder_replaces_everything(out: Path, tmp_path: Path) -> None:
-    part, folder = write_stl(tmp_path / "corner.stl", l_shape()), tmp_path / "out"
-    make_kit_from_file(part, folder, KitOptions(2e-3))
-    wide = file_hashes(folder)
-    (folder / f".kit.stl.77{PARTIAL}").touch()
-    make_kit_from_file(part, folder)
-    assert file_hashes(folder) == file_hashes(out)
-    assert {name for name in FILES if wide[name] != file_hashes(out)[name]} == {"kit.stl", "seated.glb", "report.json"}
 
 
 def test_an_interrupted_run_leaves_complete_files_and_no_report(

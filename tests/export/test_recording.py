@@ -14,9 +14,9 @@ from mcap_protobuf.decoder import DecoderFactory
 from kit1000.cli import main
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.errors import InputError
-from kit1000.export.recording import error_colours, spread_points, write_scene_recording
+from kit1000.export.recording import error_colours, write_scene_recording
 from kit1000.generation.withhold import publish
-from kit1000.mesh import mesh_from_solid
+from kit1000.mesh import even_points, mesh_from_solid
 from kit1000.pose import Pose
 from kit1000.submission import Predictions, write_predictions
 from tests.samples.mini import Published
@@ -192,9 +192,9 @@ def test_errors_go_from_green_over_yellow_to_red() -> None:
     assert np.array_equal(red, worse)
 
 
-def test_spread_points_are_on_the_surface_and_evenly_spread() -> None:
+def test_points_are_on_the_surface_and_evenly_spread() -> None:
     mesh = mesh_from_solid(box_solid(10, 20, 40)).scaled(1e-3)
-    points = spread_points(mesh, 9000)
+    points = even_points(mesh.triangles, 9000)[0]
     sides = np.abs(np.abs(points - mesh.bounds.mean(0)) - mesh.extents / 2) < 1e-12
     assert sides.any(axis=1).all()
     areas = np.array([0.02 * 0.04, 0.01 * 0.04, 0.01 * 0.02])

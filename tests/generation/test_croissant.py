@@ -98,8 +98,3 @@ def test_required_properties_and_texts_of_the_card_are_present() -> None:
 def test_a_withheld_split_is_named() -> None:
     assert "withheld" in described(withheld())["description"]
     assert "withheld" not in described(summary())["description"]
-
-
-def test_the_same_summary_gives_the_same_bytes_also_after_json() -> None:
-    again = json.loads(json.dumps(summary(), sort_keys=True))
-    assert croissant_bytes(again) == croissant_bytes(summary())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import json
 import re
 from itertools import chain
 
@@ -74,11 +73,6 @@ def test_a_dataset_without_statistics_has_a_card() -> None:
     text = card(bare | {"statistics": {"train": {}, "val": {}, "test": {}}, "redraws": {}})
     assert "There were none." in text
     assert "## How to read it" in text
-
-
-def test_the_same_summary_gives_the_same_bytes_also_after_json() -> None:
-    again = json.loads(json.dumps(summary(), sort_keys=True))
-    assert readme_bytes(again) == readme_bytes(summary())
 
 
 def test_the_citation_names_the_dataset() -> None:

@@ -119,12 +119,6 @@ def test_a_scene_made_alone_is_the_one_in_the_shard(mini: Path) -> None:
     assert np.array_equal(truth.seg, made.truth.seg)
 
 
-def test_the_same_draws_give_the_same_scene(sample: SceneSample) -> None:
-    again = sample.again()
-    assert equal(sample.scene, again)
-    assert again.observation.queries == sample.scene.observation.queries
-
-
 def test_another_seed_is_another_scene(sample: SceneSample) -> None:
     other = make_scene(MINI, SEED + 1, "test", sample.assembly, sample.parts, False)
     assert not np.allclose(other.truth.world_from_assembly.xyz, sample.scene.truth.world_from_assembly.xyz)

@@ -23,7 +23,6 @@ from kit1000.generation.dataset_summary import library_versions, summary_bytes
 from kit1000.generation.plan import dataset_id
 from kit1000.generation.verify import scene_differences, verify, version_differences
 from kit1000.pose import Pose
-from kit1000.sim.world import PhysicsMissing
 from tests.samples.mini import MINI, file_hashes, l_shape_sources
 
 
@@ -191,18 +190,6 @@ def test_a_sample_is_always_the_same(mesh_file_dataset: Path, monkeypatch: pytes
     samples = [verify(mesh_file_dataset, sample).rebuilt for sample in (1, 2, 3)]
     assert samples == [verify(mesh_file_dataset, sample).rebuilt for sample in (1, 2, 3)]
     assert set(samples[0]) < set(samples[1]) < set(samples[2])
-
-
-def test_without_a_physics_engine_files_are_checked_and_the_sample_is_not(
-    copy: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def missing() -> None:
-        raise PhysicsMissing("pybullet is not installed")
-
-    monkeypatch.setattr("kit1000.generation.verify.check_physics", missing)
-    report = verify(copy, sample=2)
-    assert (report.files, report.rebuilt, report.faults) == (len(file_hashes(copy)) - 1, (), ())
-    assert "pybullet is not installed" in report.notes[0]
 
 
 def change_part(root: Path) -> str:

@@ -122,13 +122,6 @@ def test_the_report_states_the_properties_of_the_kit(design: KitDesign) -> None:
     assert report["kit_faces"] == len(design.kit.mesh.faces)
 
 
-def test_a_kit_made_twice_has_the_same_bytes() -> None:
-    a, b = (make_kit(as_part(random_solid(17) + box(30, 24, 14))) for _ in range(2))
-    assert np.array_equal(a.mesh.vertices, b.mesh.vertices)
-    assert np.array_equal(a.mesh.faces, b.mesh.faces)
-    assert np.array_equal(a.slot.goals.wxyz, b.slot.goals.wxyz)
-
-
 def test_rotated_part_axes_give_the_same_cavity() -> None:
     rotation = Pose(random_quaternions(np.random.default_rng(1), 1)[0], np.zeros(3))
     part = as_part(ell())

@@ -111,14 +111,6 @@ def test_the_search_does_not_depend_on_the_axes_of_the_part() -> None:
         assert (pose is not None) == accepted
 
 
-def test_near_a_goal_means_10_degrees_and_5_mm() -> None:
-    _, kit = pair_of(ell())
-    goal = kit.slot.goals[0]
-    for turn_deg, shift_mm, near in ((9, 4, True), (11, 0, False), (0, 5.5, False)):
-        rotated = Pose.from_rotvec(np.radians(turn_deg) * Z) @ Pose(goal.wxyz, np.zeros(3))
-        assert is_near_goal(Pose(rotated.wxyz, goal.xyz + [shift_mm * 1e-3, 0, 0]), kit.slot) == near
-
-
 @pytest.mark.parametrize(
     ("clearance_mm", "angle_deg", "shift_mm"), [(1, 10, 5), (2.5, 10, 5), (5, 12, 10), (10, 24, 20)]
 )

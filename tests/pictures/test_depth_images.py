@@ -56,10 +56,6 @@ def test_holes_are_ink(seed: int, share: float) -> None:
         assert (picture[depth == 0] == INK).all()
 
 
-def test_an_image_without_returns_is_all_ink() -> None:
-    assert (depth_picture(view_of(np.zeros(SHAPE))) == INK).all()
-
-
 def test_near_is_brighter_and_warmer_than_far() -> None:
     picture = depth_picture(view_of(steps(0.5, 0.7, 0.9, 1.1))).astype(float)
     inside = picture[5:-5, 8::16]  # the middle of each wall, away from the steps
@@ -160,14 +156,6 @@ def test_masks_have_the_colour_of_their_label() -> None:
     first = picture[0, 6 * (FIRST_PART_LABEL + np.arange(8)) + 2]
     assert len(np.unique(first[:7], axis=0)) == 7  # parts of one scene differ
     assert np.array_equal(first[0], first[7])  # the eighth has the first colour
-
-
-def test_drawing_does_not_modify_the_images() -> None:
-    depth = steps(0.5, 1.0)
-    view = view_of(depth)
-    depth_picture(view)
-    mask_picture(LabelledDepth(view, np.ones(SHAPE, np.uint8)))
-    assert np.array_equal(view.depth, depth.astype(np.float32))
 
 
 @pytest.mark.parametrize("label", [0, 1, 2, 9, 200, 255])

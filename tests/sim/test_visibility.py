@@ -204,13 +204,6 @@ def test_samples_are_uniform_over_the_area_of_the_cavity(family: str):
     assert (plane.min(1) < 1e-9).all()
 
 
-def test_samples_are_cached_and_read_only():
-    kit = trough()
-    assert cavity_surface(kit) is cavity_surface(kit)
-    with pytest.raises(ValueError, match="read-only"):
-        cavity_surface(kit).points[0, 0] = 1
-
-
 def test_a_plate_without_a_cavity_is_rejected():
     whole = trough()
     plate = Kit(

@@ -18,11 +18,11 @@ HEADER = 84  # [bytes] 80 of comment, 4 of count
 FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 # A name or comment ends at the line's end, or at the first facet if all is on one line.
 NAME = re.compile(rb"(?:^[ \t]*solid\b|\bend[ \t]*solid|[#;])(?:(?!\bfacet\s+normal\s+[-+.\dn])[^\n])*", re.MULTILINE)
-KEYWORDS = {0: b"facet", 1: b"normal", 5: b"outer", 6: b"loop", 19: b"endloop", 20: b"endfacet"}
-KEYWORDS |= dict.fromkeys((7, 11, 15), b"vertex")
-WORDS = 21  # words of a facet: keywords, the normal, and three corners
-COORDINATES = (8, 9, 10, 12, 13, 14, 16, 17, 18)
-PIECE = 1 << 22  # [bytes] of text that are split into words at once
+WORD = rb"\s+(\S+)"
+FACET_TEXT = re.compile(
+    rb"\s*facet\s+normal(?:\s+\S+){3}\s+outer\s+loop" + 3 * (rb"\s+vertex" + 3 * WORD) + rb"\s+endloop\s+endfacet"
+)
+PIECE = 100_000  # facets of text whose words are turned into numbers at once
 
 
 def read_stl(data: bytes, max_faces: int) -> TriangleSoup:
@@ -73,32 +73,21 @@ def _text(text: bytes, max_faces: int) -> TriangleSoup:
     if b"facet" not in body:
         raise MeshRefused("holds no triangles" if re.match(rb"\s*solid\b", text) else "not a mesh: text file")
     _check_count(body.count(b"endfacet"), max_faces)
-    pieces, begin = [], 0
-    while begin < len(body):
-        end = body.find(b"endfacet", begin + PIECE)
-        end = len(body) if end < 0 else end + len(b"endfacet")
-        words = body[begin:end].split()
-        if len(words) % WORDS or any({*words[place::WORDS]} - {key} for place, key in KEYWORDS.items()):
-            raise MeshRefused(_broken_facet(body, begin, end))
-        columns = [numbers(words[place::WORDS], text, "STL") for place in COORDINATES]
-        pieces.append(np.stack(columns, axis=1).reshape(-1, 3))
-        begin = end
-    corners = np.concatenate(pieces)
+    pieces, words, place = [], [], 0
+    while facet := FACET_TEXT.match(body, place):
+        words += facet.groups()
+        place = facet.end()
+        if len(words) >= 9 * PIECE:
+            pieces.append(numbers(words, text, "STL"))
+            words = []
+    rest = body[place:].lstrip()
+    if rest:
+        line, end = line_number(body, len(body) - len(rest)), rest.find(b"endfacet")
+        if end < 0:
+            raise MeshRefused(f"cut short: the facet in line {line:,} has no end")
+        raise MeshRefused(f"not readable as STL: the facet in line {line:,} is no normal and one loop of 3 corners")
+    corners = np.concatenate([*pieces, numbers(words, text, "STL")]).reshape(-1, 3)
     return _soup(corners, decimal_step(corners))
-
-
-def _broken_facet(body: bytes, begin: int, end: int) -> str:
-    """The first facet of a piece of text that is not made of its 21 words."""
-    place = begin
-    for facet in re.split(rb"(?<=endfacet)", body[begin:end]):
-        words = facet.split()
-        if len(words) != WORDS or any(words[k] != key for k, key in KEYWORDS.items()):
-            line = line_number(body, place + len(facet) - len(facet.lstrip()))
-            if not words or words[-1] != b"endfacet":
-                return f"cut short: the facet in line {line:,} has no end"
-            return f"not readable as STL: the facet in line {line:,} is no normal and one loop of 3 corners"
-        place += len(facet)
-    return "not readable as STL: text between facets"
 
 
 def _check_count(count: int, max_faces: int) -> None:

@@ -96,12 +96,19 @@ def test_a_file_that_cannot_be_a_part_is_refused_with_one_line(name: str, tmp_pa
     assert str(tmp_path) not in reason
 
 
-@given(st.integers(0, len(STL) - 1), st.integers(0, 255), st.sampled_from([".stl", ".ply", ".off", ".obj", ".glb"]))
+@given(
+    st.integers(0, len(STL) - 1),
+    st.none() | st.integers(0, 255),
+    st.sampled_from([".stl", ".ply", ".off", ".obj", ".glb"]),
+)
 @example(99, 127, ".stl")  # a signalling NaN
 @settings(max_examples=150)
-def test_a_damaged_byte_never_raises_another_exception(tmp_path_factory, place: int, byte: int, suffix: str) -> None:
+def test_a_damaged_or_cut_file_raises_no_other_exception(
+    tmp_path_factory, place: int, byte: int | None, suffix: str
+) -> None:
     data = bytearray(STL if suffix == ".stl" else scaled(1, suffix[1:]))
-    data[place % len(data)] = byte
+    place %= len(data)
+    data[place:] = b"" if byte is None else bytes([byte]) + data[place + 1 :]
     outcome = reading_or_reason(written(tmp_path_factory.getbasetemp() / f"damaged{suffix}", bytes(data)))
     assert isinstance(outcome, str) or defect_float32(outcome.mesh) is None
 
