@@ -82,9 +82,7 @@ class SplitQueries:
         return tuple((replace(query, read_image=read_image), scene.truth_of(query.id)) for query in queries)
 
 
-def new_guess(
-    rng: np.random.Generator, query: Query, truth: Truth, guesses: Guesses, axes: Pose | None = None
-) -> Pose:
+def new_guess(rng: np.random.Generator, query: Query, truth: Truth, guesses: Guesses, axes: Pose | None = None) -> Pose:
     """A guess, as goal_from_now, with a new error about a drawn goal.
 
     Args:
