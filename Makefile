@@ -106,7 +106,6 @@ results: $(DEV) ## fill the tables of README and docs from results/ and submissi
 	$(BIN)/python -m benchmark documents README.md $$(grep -rl "<!-- result:" docs --include=*.md)
 
 bench: $(DEV) ## each speed beside a reference of the same run, on DATA, else on tiny; OUT=results writes them too
-	$(BIN)/python bench/speed/kits.py $(call TO,kits)
 	$(if $(PARTS),$(BIN)/python bench/speed/kit_files.py "$(PARTS)" $(call TO,kit-files))
 	$(BIN)/python bench/speed/reading.py $(MEASURED) $(call TO,reading)
 	$(BIN)/python bench/speed/scoring.py $(MEASURED) $(call TO,scoring)
@@ -115,7 +114,7 @@ bench: $(DEV) ## each speed beside a reference of the same run, on DATA, else on
 portable: $(DEV) ## generate tiny and small as on another processor, and compare every byte
 	$(BIN)/python bench/outside/portable.py tiny small
 
-mutants: $(DEV) ## change lines one at a time in a copy: do the tests notice? About 15 minutes
+mutants: $(DEV) ## change sampled places of the scored modules in a copy: do the tests notice? About 15 minutes
 	$(BIN)/python bench/outside/mutants.py
 
 viewers: $(DEV) $(RERUN_VIEWER) ## open recordings of DATA, else of tiny, in Rerun, and take screenshots to look at

@@ -13,7 +13,7 @@ from typing import Any
 
 from benchmark.entries import Entry, read_entries
 from benchmark.measurements import Column, Measurement, Table, read_measurement
-from benchmark.quantities import MSSD, POSITION, ROTATION, SEATED, SECONDS, STRICT, Quantity
+from benchmark.quantities import SEATED
 from benchmark.table1 import PAPER_ROWS, as_markdown, table_of
 from kit1000.errors import InputError, did_you_mean
 from kit1000.files import write_bytes
@@ -23,9 +23,6 @@ SUBMISSIONS = "submissions"  # the name that stands for scores.json of all of th
 BLOCK = re.compile(r"<!-- result: (?P<words>[^>]+?) -->\n(?P<table>.*?)<!-- end -->", re.DOTALL)
 MARKED = re.compile(r"<!-- (result:[^>]*|end) -->")
 NAMES = (Column("method", "method"), Column("submission", "submission"))
-ERRORS = (POSITION, ROTATION, MSSD)
-SHARES = (SEATED, STRICT)
-COVERAGES = (1.0, 0.9, 0.75, 0.5)  # of queries answered, the most confident first
 WITH_GUESS = PAPER_TRACKS["with user input"]
 
 
@@ -93,29 +90,10 @@ def caption(measurement: Measurement) -> str:
 
 
 def score_table(name: str, entries: Sequence[Entry], words: Sequence[str]) -> Table:
-    """The table `name` of TABLES. words: the track, for a table about one track; then submissions in their order."""
+    """The table `name` of TABLES. words: names of submissions in their order; all without names."""
     if name not in TABLES:
         raise InputError(f"no table {name!r} of submissions; {did_you_mean(name, TABLES)}there are {', '.join(TABLES)}")
     return TABLES[name](entries, list(words))
-
-
-def errors(entries: Sequence[Entry], words: Sequence[str]) -> Table:
-    """Mean and median errors and the shares of parts seated, on one track."""
-    track, *names = words
-    _check_track(track)
-    columns = [*NAMES, Column("n", "n")]
-    for error in ERRORS:
-        columns.append(Column(error.key, f"{error.heading}, mean", error.decimals))
-        if error is not MSSD:
-            columns.append(Column(f"{error.key}_median", "median", error.decimals))
-    columns += [Column(share.key, f"{share.name.lower()}, %", 1, True) for share in SHARES]
-    table = Table(f"errors-{track}", f"Track `{track}`: {TRACKS[track].description.rstrip('.')}", columns)
-    for entry in chosen(entries, names):
-        row = entry.scores["tracks"].get(track)
-        if row is not None:
-            medians = {f"{error.key}_median": error.median(row) for error in ERRORS if error is not MSSD}
-            table.add(**_named(entry), n=row["n"], **{q.key: _stored(q, row) for q in (*ERRORS, *SHARES)}, **medians)
-    return table
 
 
 def seated(entries: Sequence[Entry], words: Sequence[str]) -> Table:
@@ -124,34 +102,8 @@ def seated(entries: Sequence[Entry], words: Sequence[str]) -> Table:
     table = Table("seated", "Parts seated, in percent, by track", columns)
     for entry in chosen(entries, words):
         tracks = entry.scores["tracks"]
-        table.add(**_named(entry), **{track: _stored(SEATED, tracks[track]) for track in TRACKS if track in tracks})
-    return table
-
-
-def confidence(entries: Sequence[Entry], words: Sequence[str]) -> Table:
-    """Share of parts seated among the most confident predictions, on one track."""
-    track, *names = words
-    _check_track(track)
-    columns = [*NAMES, Column("n", "n"), *(Column(f"at{c}", f"at {100 * c:g} % coverage", 1, True) for c in COVERAGES)]
-    title = f"Track `{track}`: parts seated, in percent, among the most confident predictions"
-    table = Table(f"confidence-{track}", title, columns)
-    for entry in chosen(entries, names):
-        row = entry.scores["tracks"].get(track, {})
-        curve = row.get("risk_coverage")
-        if curve:
-            shares = dict(zip(curve["coverage"], curve["seated"], strict=True))
-            table.add(**_named(entry), n=row["n"], **{f"at{c}": shares[c] for c in COVERAGES})
-    return table
-
-
-def seconds(entries: Sequence[Entry], words: Sequence[str]) -> Table:
-    """Median seconds of a query by track, as the submissions report them."""
-    columns = [*NAMES, *(Column(track, f"`{track}`", 2) for track in TRACKS), Column("hardware", "hardware")]
-    table = Table("seconds", "Median seconds a query, as each submission reports them", columns)
-    for entry in chosen(entries, words):
-        tracks = entry.scores["tracks"]
-        found = {track: SECONDS.median(tracks[track]) for track in TRACKS if track in tracks}
-        table.add(**_named(entry), **found, hardware=entry.manifest.hardware)
+        known = {track: row.get(SEATED.key) for track, row in tracks.items() if track in TRACKS}
+        table.add(**_named(entry), **known)
     return table
 
 
@@ -180,10 +132,7 @@ def readme(entries: Sequence[Entry], words: Sequence[str]) -> Table:
 
 
 TABLES: dict[str, Callable[[Sequence[Entry], list[str]], Table]] = {
-    "errors": errors,
     "seated": seated,
-    "confidence": confidence,
-    "seconds": seconds,
     "readme": readme,
 }
 
@@ -206,14 +155,3 @@ def chosen(entries: Sequence[Entry], names: Sequence[str]) -> list[Entry]:
 
 def _named(entry: Entry) -> dict[str, str]:
     return {"method": entry.manifest.display_name, "submission": f"`{entry.name}`"}
-
-
-def _stored(quantity: Quantity, row: dict[str, Any]) -> Any:
-    """An estimate as scores.json holds it; None if it was not measured."""
-    stored = row.get(quantity.key)
-    return stored if stored and stored.get("rate" if quantity.rate else "mean") is not None else None
-
-
-def _check_track(track: str) -> None:
-    if track not in TRACKS:
-        raise InputError(f"no track {track!r}; {did_you_mean(track, TRACKS)}there are {', '.join(TRACKS)}")

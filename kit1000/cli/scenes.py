@@ -186,7 +186,7 @@ def _default_method(dataset: Dataset, scene: str, sensor: str) -> str:
 
 @dataclass(frozen=True)
 class Study:
-    """Plan a user study, run the sitting of a participant, rehearse with simulated operators, or report."""
+    """Plan a user study, run the sitting of a participant, or report."""
 
     data: Folder
     """Dataset folder, with ground truth; the preset study is made for this."""
@@ -208,13 +208,11 @@ class Study:
     """Port of the participant's page. Default: a free one."""
     origin: tuple[str, ...] = ()
     """Further web addresses of that page, as behind a proxy or ssh -L with another port: http://localhost:9000."""
-    simulate: Annotated[str | None, optional(str, "OPERATOR")] = None
-    """Simulated operator that replaces all participants: exact or paper. It tests the procedure, not people."""
     report: bool = False
-    """Write trials.csv, analysis.json and report.md about the participants, or about the operator of --simulate."""
+    """Write trials.csv, analysis.json and report.md about the participants."""
 
     def run(self) -> int:
-        """Plan, serve, simulate or report; prints orders, an address or the path of a report."""
+        """Plan, serve or report; prints orders, an address or the path of a report."""
         need_truth(self.data, "study")
         from kit1000.study.command import Request, run
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any
 
 import numpy as np
 import viser
 from numpy.typing import ArrayLike
 
 from kit1000.editor import texts
-from kit1000.editor.controller import Controller
 from kit1000.editor.display import FIELD, NARROW, body_node
 from kit1000.editor.dragging import NAMES, Modifier
 from kit1000.editor.keys import Interface, Key, buttons_of, help_text, keys_of, verbs_of
@@ -23,9 +22,6 @@ from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.sim.layout import TABLE_SIZE
 
-if TYPE_CHECKING:
-    from kit1000.editor.label_page import LabelPage
-
 HISTORY_ROWS = 9
 PLACES = ("head", "parts", "fit", "note")
 SKY, SUN = 1.2, 1.9  # lights, by which cavities stand out without shadows
@@ -34,6 +30,8 @@ SAME_SHAPE = 0.02  # of two windows, in width over height
 POINT_SIZE = 1.6e-3  # [m]: neighbours just touch
 BELOW = 5e-4  # [m] z = 0, of the table's top: what stands on it is not cut
 GIZMO = "/gizmo"
+Actor = Any
+"""Who takes the events of the page: a `controller.Controller` or a `label_page.LabelPage`."""
 WATCHES = "Another tab of this page is in charge. When that is closed, this one is."
 
 
@@ -72,7 +70,7 @@ class ViserStage:
         self._rows: list[Any] = []
         self._counts = range(0)
         self._history: tuple[tuple[str, ...], int] | None = None
-        self._actor: Controller | LabelPage | None = None
+        self._actor: Actor = None
         self._acting: int | None = None
         self._aspect = NARROW
         self._clients: list[int] = []
@@ -80,7 +78,7 @@ class ViserStage:
         """Notices of the tabs that only watch."""
         self._dress(panel)
 
-    def listen(self, actor: Controller | LabelPage) -> None:
+    def listen(self, actor: Actor) -> None:
         """Send the events of the page to an actor."""
         self._actor = actor
         for body in actor.bodies:
@@ -293,7 +291,7 @@ class ViserStage:
         if notice is not None:
             notice.remove()
 
-    def _call(self, event: Any, action: Callable[[Controller | LabelPage], None]) -> None:
+    def _call(self, event: Any, action: Callable[[Actor], None]) -> None:
         """Call the actor if the event comes from the tab in charge; the page shows errors."""
         if self._actor is None or event.client_id != self._acting:
             return
@@ -330,11 +328,10 @@ class ViserStage:
 
     async def _history_clicked(self, row: int, event: Any) -> None:
         count = self._counts[row]
-        self._call(event, lambda actor: cast(Controller, actor).return_to(count))
+        self._call(event, lambda actor: actor.return_to(count))
 
     async def _letting_go_clicked(self, event: Any) -> None:
-        def change(actor: Controller | LabelPage) -> None:
-            editor = cast(Controller, actor)
+        def change(editor: Actor) -> None:
             editor.take_by_letting_go(not editor.lets_go)
             event.target.label = texts.letting_go(editor.lets_go)
 

@@ -10,7 +10,7 @@ import numpy as np
 from kit1000.errors import InputError
 from kit1000.study.plan import MAIN_OUTCOME, StudyPlan
 from kit1000.study.questionnaire import SCALES, raw_load
-from kit1000.study.records import PEOPLE, Participant, TrialRecord
+from kit1000.study.records import Participant, TrialRecord
 from kit1000.study.statistics import FEWEST, Comparison, Crossover, bca_interval, compare, crossover, holm
 
 Measure = Callable[[Sequence[TrialRecord]], float | None]
@@ -64,7 +64,6 @@ class Analysis:
 
     study: str
     dataset_id: str
-    operator: str
     conditions: tuple[str, ...]
     sensor: str
     snap: str
@@ -81,10 +80,10 @@ class Analysis:
     """Number of parts by condition and outcome."""
     outcomes: Sequence[Row]
     ratings: Sequence[Row]
-    """The six scales and their mean; none of a simulated operator."""
+    """The six scales and their mean."""
     preferred: Mapping[str, int]
     """Answers to the last question by condition."""
-    format: str = field(default="kit1000-study-analysis/1", init=False)
+    format: str = field(default="kit1000-study-analysis/2", init=False)
 
 
 def _share(trials: Sequence[TrialRecord]) -> float:
@@ -120,8 +119,8 @@ OUTCOMES = (
 )
 
 
-def analyse(plan: StudyPlan, operator: str, participants: Sequence[Participant], seed: int = 0) -> Analysis:
-    """All numbers of a study. seed: of the resampling."""
+def analyse(plan: StudyPlan, participants: Sequence[Participant]) -> Analysis:
+    """All numbers of a study."""
     tasks = sum(map(len, plan.tasks.sets))
     people = [person for person in participants if len(person.trials) == tasks]
     if len(people) < FEWEST:
@@ -137,7 +136,6 @@ def analyse(plan: StudyPlan, operator: str, participants: Sequence[Participant],
     return Analysis(
         study=plan.id,
         dataset_id=plan.dataset_id,
-        operator=operator,
         conditions=plan.conditions,
         sensor=plan.sensor,
         snap=plan.snap,
@@ -150,18 +148,10 @@ def analyse(plan: StudyPlan, operator: str, participants: Sequence[Participant],
         parts={
             name: _counts([part.outcome for trial in own for part in trial.parts]) for name, own in by_condition.items()
         },
-        outcomes=[_outcome_row(plan, people, outcome, seed) for outcome in _outcomes(operator)],
-        ratings=_ratings(plan, people, seed),
+        outcomes=[_outcome_row(plan, people, outcome) for outcome in OUTCOMES],
+        ratings=_ratings(plan, people),
         preferred=_counts(answers),
     )
-
-
-def _outcomes(operator: str) -> Sequence[Outcome]:
-    """The outcomes; simulated uploads are executed by the seating test alone."""
-    if operator == PEOPLE:
-        return OUTCOMES
-    main = replace(OUTCOMES[0], label="Success, by the seating test")
-    return [main, *(outcome for outcome in OUTCOMES[1:] if outcome.name != "success_by_test")]
 
 
 def _counts(names: Sequence[str]) -> dict[str, int]:
@@ -169,14 +159,14 @@ def _counts(names: Sequence[str]) -> dict[str, int]:
     return {name: names.count(name) for name in sorted({*names}, key=lambda name: (-names.count(name), name))}
 
 
-def _outcome_row(plan: StudyPlan, people: Sequence[Participant], outcome: Outcome, seed: int) -> Row:
+def _outcome_row(plan: StudyPlan, people: Sequence[Participant], outcome: Outcome) -> Row:
     values: dict[str, dict[int, float]] = {condition: {} for condition in plan.conditions}
     for person in people:
         for condition in plan.conditions:
             value = outcome.measure([trial for trial in person.trials if trial.condition == condition])
             if value is not None:
                 values[condition][person.number] = value
-    row = _row(outcome, values, seed)
+    row = _row(outcome, values)
     one, other = values.values()
     if len(one) < len(people) or len(other) < len(people):
         return row
@@ -184,7 +174,7 @@ def _outcome_row(plan: StudyPlan, people: Sequence[Participant], outcome: Outcom
     return replace(row, order=crossover(list(one.values()), list(other.values()), early))
 
 
-def _row(outcome: Outcome, values: Values, seed: int) -> Row:
+def _row(outcome: Outcome, values: Values) -> Row:
     first, second = values.values()
     differences = [first[number] - second[number] for number in sorted(first.keys() & second.keys())]
     return Row(
@@ -192,20 +182,20 @@ def _row(outcome: Outcome, values: Values, seed: int) -> Row:
         outcome.label,
         outcome.unit,
         values,
-        {name: _mean_of(list(own.values()), seed) for name, own in values.items()},
-        compare(differences, seed) if len(differences) >= FEWEST else None,
+        {name: _mean_of(list(own.values())) for name, own in values.items()},
+        compare(differences) if len(differences) >= FEWEST else None,
     )
 
 
-def _mean_of(values: Sequence[float], seed: int) -> Mean:
+def _mean_of(values: Sequence[float]) -> Mean:
     if not values:
         return Mean(0)
     array = np.array(values)
-    low, high = bca_interval(array, seed) if len(values) >= FEWEST else (None, None)
+    low, high = bca_interval(array) if len(values) >= FEWEST else (None, None)
     return Mean(len(values), float(array.mean()), float(array.std(ddof=1)) if len(values) > 1 else None, low, high)
 
 
-def _ratings(plan: StudyPlan, people: Sequence[Participant], seed: int) -> list[Row]:
+def _ratings(plan: StudyPlan, people: Sequence[Participant]) -> list[Row]:
     """The six scales, adjusted for their number after Holm, and their mean; empty without ratings."""
     if not any(person.ratings for person in people):
         return []
@@ -215,7 +205,7 @@ def _ratings(plan: StudyPlan, people: Sequence[Participant], seed: int) -> list[
             condition: {i.number: value(i.ratings[condition]) for i in people if condition in i.ratings}
             for condition in plan.conditions
         }
-        return _row(Outcome(name, label, "0 to 100", lambda _: None), rated, seed)
+        return _row(Outcome(name, label, "0 to 100", lambda _: None), rated)
 
     scales = [row(scale.name, scale.title, lambda ratings, name=scale.name: float(ratings[name])) for scale in SCALES]
     adjusted = iter(holm([scale.difference.p for scale in scales if scale.difference is not None]))

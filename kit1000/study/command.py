@@ -1,4 +1,4 @@
-"""The command `kit1000 study`: plans, sittings, simulations and reports in one folder."""
+"""The command `kit1000 study`: plans, sittings and reports in one folder."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from kit1000.files import check_output, locked
 from kit1000.study.plan import DEFAULT, FILE, StudyPlan, make_plan, read_plan, write_plan
 from kit1000.study.records import ParticipantFiles
 from kit1000.study.report import write_report
-from kit1000.study.simulation import check_operator, simulate
 
 DEFAULTS: Mapping[str, Any] = {"people": 12, "conditions": DEFAULT, "sensor": "ideal", "snap": SNAP, "seed": 0}
 """Values of a new plan, for absent options."""
@@ -34,31 +33,26 @@ class Request:
     participant: int | None = None
     port: int | None = None
     origin: tuple[str, ...] = ()
-    simulate: str | None = None
     report: bool = False
 
 
 def run(request: Request) -> None:
     """Carry out a request, and print orders, an address or a path."""
-    if request.participant is not None and (request.simulate is not None or request.report):
-        raise InputError("--participant: is a sitting of a person; leave out --simulate and --report")
-    if request.simulate is not None:
-        check_operator(request.simulate)
-    if request.simulate is not None or not request.report:
-        check_output(request.out, FILE)
-        with locked(request.out):
-            _work(request)
     if request.report:
-        print(write_report(request.out, request.simulate))
+        if request.participant is not None:
+            raise InputError("--participant: is a sitting; leave out --report")
+        print(write_report(request.out))
+        return
+    check_output(request.out, FILE)
+    with locked(request.out):
+        _work(request)
 
 
 def _work(request: Request) -> None:
     plan, dataset = _plan(request), Dataset(request.data)
     if dataset.id != plan.dataset_id:
         raise InputError(f"{request.data}: is dataset {dataset.id}; the study was planned on {plan.dataset_id}")
-    if request.simulate is not None:
-        print(simulate(request.out, plan, dataset, request.simulate))
-    elif request.participant is None:
+    if request.participant is None:
         print(plan.as_text())
     else:
         try:

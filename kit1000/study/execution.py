@@ -1,4 +1,4 @@
-"""Execution of uploads: by the simulated robot, or in simulations by the seating test of the benchmark."""
+"""Execution of uploads by the simulated robot, and the errors of what was uploaded."""
 
 from __future__ import annotations
 
@@ -10,13 +10,12 @@ import numpy as np
 
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.metrics import Targets, pose_errors, seatings
-from kit1000.planner.execute import NOT_SEATED, SEATED, robot_at
+from kit1000.planner.execute import robot_at
 from kit1000.pose import Pose
 from kit1000.study.records import PartResult
 from kit1000.values import Truth
 
 NOT_UPLOADED = "not uploaded"
-NOMINAL_S = 23.0  # [s] for a part that the seating test evaluates: about the median of the robot
 DECIMALS = 3  # of mm, degrees and seconds in records
 
 
@@ -42,17 +41,6 @@ def by_robot(scene: RecordedScene, sensor: str, seed: int) -> Iterator[Execute]:
             return {run.part: Executed(run.outcome, round(run.seconds, DECIMALS)) for run in runs}
 
         yield execute
-
-
-def by_seating_test(dataset: Dataset, truths: Mapping[int, Truth]) -> Execute:
-    """The seating test of the benchmark, with a typical time of the robot."""
-
-    def execute(motions: Mapping[int, Pose]) -> dict[int, Executed]:
-        found = measured(dataset, truths, motions)
-        outcomes = {part: SEATED if found[part].seated_by_test else NOT_SEATED for part in sorted(motions)}
-        return {part: Executed(outcome, NOMINAL_S) for part, outcome in outcomes.items()}
-
-    return execute
 
 
 def measured(

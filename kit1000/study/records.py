@@ -5,10 +5,8 @@
                       1-hand/task-1/events.jsonl, predictions.csv, trial.json
                       1-hand/ratings.json       six ratings after a condition
                       closing.json              the preferred condition
-    STUDY/simulated/paper/p001/...              the same of a simulated operator, without any answers
 
-Each file states its operator, `people` or `simulated/NAME`, which is also its folder: simulated records never pass for
-those of people. The record of a trial is written last, so a sitting continues where it was interrupted.
+The record of a trial is written last, so a sitting continues where it was interrupted.
 """
 
 from __future__ import annotations
@@ -27,10 +25,10 @@ from kit1000.planner.execute import SEATED
 from kit1000.study.plan import Session, StudyPlan
 from kit1000.study.questionnaire import checked_ratings
 
-PEOPLE, SIMULATED = "people", "simulated"
+PEOPLE = "people"  # the folder of all participants
 PARTICIPANT_FILE, PRACTICE_FILE, TRIAL_FILE = "participant.json", "practised.json", "trial.json"
 RATINGS_FILE, CLOSING_FILE = "ratings.json", "closing.json"
-FORMAT = "kit1000-study-record/2"
+FORMAT = "kit1000-study-record/3"
 Count = Annotated[int, Meta(ge=0)]
 Number = Annotated[float, Meta(ge=0, lt=1e9)]
 
@@ -41,9 +39,7 @@ class Record(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     study: str
     """Id of the plan."""
     participant: int
-    operator: str
-    """people, or simulated/NAME."""
-    format: Literal["kit1000-study-record/2"] = FORMAT
+    format: Literal["kit1000-study-record/3"] = FORMAT
 
 
 class Consent(msgspec.Struct, frozen=True):
@@ -137,12 +133,11 @@ class ParticipantFiles:
     study: Path
     plan: StudyPlan
     number: int
-    operator: str = PEOPLE
 
     @property
     def folder(self) -> Path:
         """The folder of the participant."""
-        return self.study / self.operator / f"p{self.number:03d}"
+        return self.study / PEOPLE / f"p{self.number:03d}"
 
     def of_session(self, session: Session) -> Path:
         """The folder of a condition."""
@@ -154,7 +149,7 @@ class ParticipantFiles:
 
     def record(self, kind: type[AnyRecord], **values: Any) -> AnyRecord:
         """A record of this participant."""
-        return kind(study=self.plan.id, participant=self.number, operator=self.operator, **values)
+        return kind(study=self.plan.id, participant=self.number, **values)
 
     def write(self, path: Path, record: Record) -> None:
         """Write a record."""
@@ -163,30 +158,22 @@ class ParticipantFiles:
     def read(self, path: Path, kind: type[AnyRecord]) -> AnyRecord:
         """A record of this participant; raises InputError if the file holds anything else."""
         record = converted(read_json(path), kind, path)
-        stated = {"study": record.study, "participant": record.participant, "operator": record.operator}
-        expected = {"study": self.plan.id, "participant": self.number, "operator": self.operator}
-        for name, value in expected.items():
-            if stated[name] != value:
-                raise InputError(f"{path}: {name}: expected {value!r}, got {stated[name]!r}; move the file away")
+        for name, value in {"study": self.plan.id, "participant": self.number}.items():
+            if (stated := getattr(record, name)) != value:
+                raise InputError(f"{path}: {name}: expected {value!r}, got {stated!r}; move the file away")
         return record
 
 
-def operators_of(study: Path) -> list[str]:
-    """The operators whose records a study has: people first, then the simulated ones."""
-    folders = [study / PEOPLE, *sorted((study / SIMULATED).glob("*"))]
-    return [folder.relative_to(study).as_posix() for folder in folders if any(folder.glob(f"*/{PARTICIPANT_FILE}"))]
-
-
-def read_participants(study: Path, plan: StudyPlan, operator: str) -> list[Participant]:
-    """All participants of one operator, by number; raises InputError at the first record that does not belong."""
-    everybody = [ParticipantFiles(study, plan, number, operator) for number in range(1, plan.people + 1)]
-    _refuse_others(study / operator, [files.folder for files in everybody])
+def read_participants(study: Path, plan: StudyPlan) -> list[Participant]:
+    """All participants by number; raises InputError at the first record that does not belong."""
+    everybody = [ParticipantFiles(study, plan, number) for number in range(1, plan.people + 1)]
+    _refuse_others(study / PEOPLE, [files.folder for files in everybody])
     return [_read_participant(files) for files in everybody if any(files.folder.rglob("*.json"))]
 
 
 def _read_participant(files: ParticipantFiles) -> Participant:
     path, sessions = files.folder / PARTICIPANT_FILE, files.plan.sessions(files.number)
-    if files.read(path, Participation).consent is None and files.operator == PEOPLE:
+    if files.read(path, Participation).consent is None:
         raise InputError(f"{path}: no consent; the records of this participant must not be used")
     _refuse_others(files.folder, [files.of_session(session) for session in sessions])
     trials, ratings = [], {}

@@ -8,45 +8,25 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from kit1000.errors import InputError
 from kit1000.files import json_bytes, write_bytes
 from kit1000.study.analysis import Analysis, Mean, Row, analyse
 from kit1000.study.plan import CONDITIONS, read_plan
-from kit1000.study.records import PEOPLE, SIMULATED, Participant, TrialRecord, operators_of, read_participants
+from kit1000.study.records import PEOPLE, Participant, TrialRecord, read_participants
 
 TRIALS_FILE, ANALYSIS_FILE, TABLE_FILE = "trials.csv", "analysis.json", "report.md"
-COLUMNS = tuple(name for name in TrialRecord.__struct_fields__ if name not in ("format", "study", "operator", "parts"))
+COLUMNS = tuple(name for name in TrialRecord.__struct_fields__ if name not in ("format", "study", "parts"))
 
 
-def write_report(study: Path, simulated: str | None = None, seed: int = 0) -> Path:
-    """Write the report beside the records; returns the path of the table.
-
-    Args:
-        study: folder of the study.
-        simulated: the simulated operator; None for people, or for the only operator.
-        seed: of the resampling.
-    """
-    plan, operator = read_plan(study), _operator(study, simulated)
-    participants = read_participants(study, plan, operator)
-    analysis = analyse(plan, operator, participants, seed)
-    folder = study / operator
+def write_report(study: Path) -> Path:
+    """Write the report about a study's folder beside the records; returns the path of the table."""
+    plan = read_plan(study)
+    participants = read_participants(study, plan)
+    analysis = analyse(plan, participants)
+    folder = study / PEOPLE
     write_bytes(folder / TRIALS_FILE, trials_csv(participants).encode())
     write_bytes(folder / ANALYSIS_FILE, json_bytes(_with_text_keys(asdict(analysis))))
     write_bytes(folder / TABLE_FILE, table(analysis).encode())
     return folder / TABLE_FILE
-
-
-def _operator(study: Path, simulated: str | None) -> str:
-    """The operator that was named, or people, or the only operator that there is."""
-    found, named = operators_of(study), f"{SIMULATED}/{simulated}"
-    if simulated is None and (found[:1] == [PEOPLE] or len(found) == 1):
-        return found[0]
-    if named in found:
-        return named
-    raise InputError(
-        f"{study}: expected records of people, or of one operator by --report --simulate NAME; "
-        f"found {', '.join(found) or 'none'}"
-    )
 
 
 def trials_csv(participants: Iterable[Participant]) -> str:
@@ -65,9 +45,10 @@ def trials_csv(participants: Iterable[Participant]) -> str:
 def table(analysis: Analysis) -> str:
     """The Markdown text: who took part, and a table of all outcomes and scales."""
     one, other = (CONDITIONS[name].label for name in analysis.conditions)
-    who = "participants" if analysis.operator == PEOPLE else "simulated participants, which say nothing about people,"
     lines = [f"# {one} against {other}", ""]
-    lines.append(f"{analysis.n} of {analysis.planned} planned {who} have done all tasks of study {analysis.study}.")
+    lines.append(
+        f"{analysis.n} of {analysis.planned} planned participants have done all tasks of study {analysis.study}."
+    )
     left_out = "; ".join(f"participant {number} ({why})" for number, why in analysis.left_out.items())
     lines.append(f"Left out: {left_out or 'nobody'}. Orders are {'' if analysis.balanced else 'not '}balanced.")
     late = ", ".join(f"{CONDITIONS[name].label} {count}" for name, count in analysis.out_of_time.items())

@@ -113,8 +113,7 @@ def test_a_document_is_filled_between_its_marks_and_once_is_enough(tmp_path: Pat
         (BLOCK.replace("errors", "sizes"), "page.md.*'sizes'.*errors"),
         (BLOCK.replace("speed errors", "nothing errors"), r"page.md.*nothing\.json"),
         (BLOCK.replace("speed errors", "speed"), "page.md.*table"),
-        (BLOCK.replace("speed errors", "submissions error"), "page.md.*'error'.*errors"),
-        (BLOCK.replace("speed errors", "submissions errors snip"), "page.md.*'snip'.*snap"),
+        (BLOCK.replace("speed errors", "submissions seatd"), "page.md.*'seatd'.*seated"),
         (BLOCK.replace("speed errors", "submissions seated registratio"), "page.md.*'registratio'.*registration"),
     ],
 )
@@ -128,10 +127,9 @@ def test_marks_that_do_not_pair_or_name_nothing_are_refused_and_nothing_is_writt
 
 
 def test_a_table_of_submissions_shows_what_scores_json_holds(tmp_path: Path) -> None:
-    page = document(tmp_path, "<!-- result: submissions errors snap registration guess -->\n<!-- end -->\n")
+    page = document(tmp_path, "<!-- result: submissions seated registration guess -->\n<!-- end -->\n")
     text = filled(page, tmp_path / "results", read_entries(ROOT / "submissions"))
     scores = json.loads((ROOT / "submissions/registration/scores.json").read_text("utf-8"))["tracks"]["snap"]
     row = next(line for line in text.splitlines() if "`registration`" in line)
-    assert f"| {scores['n']} | {scores['position_mm']['mean']:.2f} [" in row
     assert f"| {100 * scores['seated']['rate']:.1f} [" in row
     assert text.index("`registration`") < text.index("`guess`")

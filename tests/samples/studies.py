@@ -11,7 +11,6 @@ from kit1000.study.questionnaire import NAMES
 from kit1000.study.records import (
     CLOSING_FILE,
     PARTICIPANT_FILE,
-    PEOPLE,
     RATINGS_FILE,
     TRIAL_FILE,
     Closing,
@@ -23,8 +22,6 @@ from kit1000.study.records import (
     TrialRecord,
 )
 from kit1000.study.tasks import SIZES, Task, Tasks
-
-PAPER = "simulated/paper"
 
 
 def plan_of(people: int = 4, conditions: tuple[str, ...] = ("scene-snap", "hand"), seed: int = 0) -> StudyPlan:
@@ -53,18 +50,18 @@ def trial_of(files: ParticipantFiles, session: Session, task: int, seated: int, 
     )
 
 
-def write_study(study: Path, plan: StudyPlan, operator: str = PEOPLE, effect: float = 20.0, seed: int = 0) -> StudyPlan:
+def write_study(study: Path, plan: StudyPlan, effect: float = 20.0, seed: int = 0) -> StudyPlan:
     """Records of everybody: the second condition takes `effect` seconds per task more, and seats one part less."""
     write_plan(study, plan)
     for number in range(1, plan.people + 1):
-        write_participant(ParticipantFiles(study, plan, number, operator), effect, seed)
+        write_participant(ParticipantFiles(study, plan, number), effect, seed)
     return plan
 
 
 def write_participant(files: ParticipantFiles, effect: float = 20.0, seed: int = 0) -> None:
     """Records of one participant."""
-    rng, plan, human = np.random.default_rng((seed, files.number)), files.plan, files.operator == PEOPLE
-    consent = Consent("x", 1.0) if human else None
+    rng, plan = np.random.default_rng((seed, files.number)), files.plan
+    consent = Consent("x", 1.0)
     files.write(files.folder / PARTICIPANT_FILE, files.record(Participation, versions={}, consent=consent))
     for session in plan.sessions(files.number):
         second = session.condition.name != plan.conditions[0]
@@ -72,8 +69,6 @@ def write_participant(files: ParticipantFiles, effect: float = 20.0, seed: int =
             seated = max(SIZES[task - 1] - second - int(rng.integers(2)), 0)
             seconds = round(40 + effect * second + 6 * float(rng.standard_normal()), 3)
             files.write(files.of_task(session, task) / TRIAL_FILE, trial_of(files, session, task, seated, seconds))
-        if human:
-            ratings = {name: int(5 * rng.integers(4, 10) + 20 * second) for name in NAMES}
-            files.write(files.of_session(session) / RATINGS_FILE, files.record(RatingsRecord, ratings=ratings))
-    if human:
-        files.write(files.folder / CLOSING_FILE, files.record(Closing, preferred=plan.conditions[0]))
+        ratings = {name: int(5 * rng.integers(4, 10) + 20 * second) for name in NAMES}
+        files.write(files.of_session(session) / RATINGS_FILE, files.record(RatingsRecord, ratings=ratings))
+    files.write(files.folder / CLOSING_FILE, files.record(Closing, preferred=plan.conditions[0]))

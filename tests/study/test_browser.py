@@ -15,10 +15,10 @@ from kit1000.dataset.reader import Dataset
 from kit1000.editor.controller import Controller
 from kit1000.editor.hand import PLACE
 from kit1000.study import sitting
-from kit1000.study.execution import by_seating_test
+from kit1000.study.execution import Executed, measured
 from kit1000.study.plan import StudyPlan, write_plan
 from kit1000.study.questionnaire import SCALES
-from kit1000.study.records import PEOPLE, ParticipantFiles, read_participants
+from kit1000.study.records import ParticipantFiles, read_participants
 from kit1000.study.tasks import Task, Tasks, part_truths
 from tests.editor.test_browser import PATIENCE_S, WINDOW, browser, on_page, ready, wait
 
@@ -51,7 +51,11 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[Controller]:
             yield controller, address
 
     def execution(scene: Any, sensor: str, seed: int) -> Any:
-        return contextlib.nullcontext(by_seating_test(scene.split.dataset, part_truths(scene, sensor)))
+        def execute(motions: Any) -> dict[int, Executed]:
+            found = measured(scene.split.dataset, part_truths(scene, sensor), motions)
+            return {i: Executed("seated" if found[i].seated_by_test else "not seated", 23.0) for i in motions}
+
+        return contextlib.nullcontext(execute)
 
     monkeypatch.setattr(sitting, "editing", watched)
     monkeypatch.setattr(sitting, "by_robot", execution)
@@ -154,7 +158,7 @@ def test_a_sitting_from_consent_to_the_last_question(
     page.get_by_text("You have finished").first.wait_for(timeout=1000 * PATIENCE_S)
     thread.join(PATIENCE_S)
     assert not thread.is_alive()
-    [someone] = read_participants(tmp_path, plan, PEOPLE)
+    [someone] = read_participants(tmp_path, plan)
     assert someone.preferred == "hand"
     assert {tuple(ratings.values()) for ratings in someone.ratings.values()} == {(0, 10, 20, 30, 40, 50)}
     assert len(someone.trials) == 2

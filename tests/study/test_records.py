@@ -10,13 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from kit1000.cli import main
 from kit1000.errors import InputError
 from kit1000.study import statistics
 from kit1000.study.plan import StudyPlan
-from kit1000.study.records import PEOPLE, ParticipantFiles, TrialRecord, operators_of, read_participants
+from kit1000.study.records import ParticipantFiles, TrialRecord, read_participants
 from kit1000.study.report import write_report
-from tests.samples.studies import PAPER, plan_of, trial_of, write_participant, write_study
+from tests.samples.studies import plan_of, trial_of, write_study
 
 
 @pytest.fixture(autouse=True)
@@ -42,17 +41,17 @@ PLAN: StudyPlan = plan_of()
 
 
 def test_a_trial_comes_back(tmp_path: Path) -> None:
-    files, session = ParticipantFiles(tmp_path, PLAN, 3, PAPER), PLAN.sessions(3)[1]
+    files, session = ParticipantFiles(tmp_path, PLAN, 3), PLAN.sessions(3)[1]
     trial = trial_of(files, session, 4, 2, 12.345)
     path = files.of_task(session, 4) / "trial.json"
     files.write(path, trial)
     assert files.read(path, TrialRecord) == trial
     assert trial.seated == 2
-    assert path.relative_to(tmp_path).parts[:3] == ("simulated", "paper", "p003")
+    assert path.relative_to(tmp_path).parts[:2] == ("people", "p003")
 
 
 def test_everybody_is_read(study: Path) -> None:
-    people = read_participants(study, PLAN, PEOPLE)
+    people = read_participants(study, PLAN)
     assert [person.number for person in people] == [1, 2, 3, 4]
     assert {len(person.trials) for person in people} == {8}
     assert all(set(person.ratings) == set(PLAN.conditions) for person in people)
@@ -101,8 +100,6 @@ DAMAGES: list[tuple[Callable[[Path], None], tuple[str, ...]]] = [
     (edited("trial.json", format="x"), ("trial.json", "format")),
     (edited("trial.json", comment="nice"), ("trial.json", "comment")),
     (edited("trial.json", kits=None), ("trial.json", "kits")),
-    (edited("trial.json", operator=PAPER), ("trial.json", "operator", PEOPLE, PAPER)),
-    (edited("participant.json", operator="simulated/exact"), ("participant.json", "simulated/exact")),
     (edited("participant.json", consent=None), ("participant.json", "consent")),
     (edited("ratings.json", ratings={"mental": 5}), ("ratings.json", "physical")),
     (edited("ratings.json", ratings=None), ("ratings.json", "ratings")),
@@ -122,34 +119,10 @@ def test_a_record_that_does_not_belong_is_refused_in_one_line(
     assert PLAN.sessions(1)[0].condition.name == "hand"
     damage(study)
     with pytest.raises(InputError) as refusal:
-        read_participants(study, PLAN, PEOPLE)
+        read_participants(study, PLAN)
     text = str(refusal.value)
     assert "\n" not in text
     assert all(fact in text for fact in (str(study), *facts))
-
-
-def test_a_simulated_record_among_people_ends_the_report_with_status_2(
-    study: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    write_participant(ParticipantFiles(study, PLAN, 2, PAPER))
-    shutil.rmtree(study / "people/p002")
-    shutil.copytree(study / "simulated/paper/p002", study / "people/p002")
-    assert main(["study", str(study), "--out", str(study), "--report"]) == 2
-    assert capsys.readouterr().err.count("\n") == 1
-
-
-def test_a_report_is_about_one_operator(study: Path) -> None:
-    exact = "simulated/exact"
-    for operator in (PAPER, exact):
-        write_study(study, PLAN, operator)
-    assert operators_of(study) == [PEOPLE, exact, PAPER]
-    assert write_report(study).parent == study / PEOPLE
-    assert write_report(study, "paper").parent == study / PAPER
-    shutil.rmtree(study / "people")
-    for removed, name in ((None, None), (None, "fitts"), (exact, "exact"), (PAPER, None)):
-        shutil.rmtree(study / removed) if removed else None
-        with pytest.raises(InputError, match="--report --simulate NAME"):
-            write_report(study, name)
 
 
 def test_a_report_finds_the_effects_of_its_records(study: Path) -> None:
@@ -172,18 +145,7 @@ def test_a_report_finds_the_effects_of_its_records(study: Path) -> None:
     assert {row["position_mm"] for row in trials} == {"1.5 1.5", "1.5 1.5 1.5"}
     table = path.read_text()
     assert table.count("\n|") == 2 + len(rows) + 7
-    assert "simulated" not in table
     assert write_report(study).read_text() == table
-
-
-def test_a_report_of_a_simulated_operator_says_so_and_has_no_ratings(tmp_path: Path) -> None:
-    write_study(tmp_path, PLAN, PAPER)
-    path = write_report(tmp_path, "paper")
-    numbers = json.loads((path.parent / "analysis.json").read_text())
-    assert numbers["operator"] == PAPER
-    assert numbers["ratings"] == []
-    assert {"success_by_test"}.isdisjoint(row["name"] for row in numbers["outcomes"])
-    assert "simulated participants, which say nothing about people" in path.read_text()
 
 
 def test_unfinished_participants_are_left_out_and_named(study: Path) -> None:

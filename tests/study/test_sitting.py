@@ -22,7 +22,7 @@ from kit1000.study import sitting
 from kit1000.study.execution import Executed
 from kit1000.study.pages import TaskPanel
 from kit1000.study.plan import write_plan
-from kit1000.study.records import PEOPLE, PRACTICE_FILE, ParticipantFiles, PartResult
+from kit1000.study.records import PRACTICE_FILE, ParticipantFiles, PartResult
 from kit1000.study.sitting import FINISH, UPLOAD, Sitting, TaskPage
 from tests.samples.editing import desk, dragged, goal, scene_of
 from tests.samples.studies import plan_of, write_participant
@@ -66,7 +66,6 @@ def test_work_before_a_crash_is_continued(tmp_path: Path) -> None:
     assert (page.clock.specified, page.clock.execution, page.clock.reading) == (31.25, 10.0, 41.25)
     record = page.record({i: PartResult(i, "seated", True, 1.0, 1.0) for i in range(2)}, rows)
     assert (record.uploads, record.undos, record.refused, record.interruptions) == (1, 1, 1, 1)
-    assert record.operator == PEOPLE
     assert not record.out_of_time  # there was time left: the participant ended the task
 
 
@@ -131,3 +130,23 @@ def test_a_part_that_a_hand_has_carried_is_an_upload_by_itself(tmp_path: Path) -
         page.seen(carried)
     assert scene.requests.empty()
     assert hand.requests.get_nowait() == UPLOAD != FINISH
+
+
+@pytest.mark.parametrize(
+    "option", ["--people 8", "--conditions scene hand", "--sensor d415", "--snap none", "--seed 7"], ids=str.split
+)
+def test_an_option_that_contradicts_the_plan_is_refused(
+    mini: Path, tmp_path: Path, option: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_plan(tmp_path, replace(plan_of(), dataset_id=Dataset(mini).id))
+    assert main(["study", str(mini), "--out", str(tmp_path), *option.split()]) == 2
+    error = capsys.readouterr().err
+    assert option in error
+    assert str(tmp_path) in error
+
+
+def test_a_sitting_and_a_report_cannot_be_combined(
+    mini: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["study", str(mini), "--out", str(tmp_path), "--participant", "1", "--report"]) == 2
+    assert "--participant" in capsys.readouterr().err
