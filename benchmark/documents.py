@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any
 
 from benchmark.entries import Entry, read_entries
 from benchmark.measurements import Column, Measurement, Table, read_measurement
