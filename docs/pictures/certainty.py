@@ -49,7 +49,7 @@ def main(folder: Path) -> None:
 
 def draw(dataset: Dataset, query: Query, fit: Fit) -> tuple[np.ndarray, float]:
     """(h, w, 3) uint8 of the cut through a fit, and how far it contradicts the image [m]."""
-    ((part, _),) = Registration(dataset).scene(query).parts(query)
+    ((part, _),) = Registration(dataset).scene(query).parts()
     clearance = dataset.summary["config"]["clearance"]
     cavity, pose = fit.candidate.cavity, fit.candidate.plate_from_now
     kit = KitHeights.of(cavity, clearance)

@@ -26,8 +26,6 @@ class Noise(NamedTuple):
     """[rad] faces of a part that are upright or level within this angle are taken to be exactly so."""
     wavy_rims: bool = False
     """Whether rims of cavities may be farther off than `distance`."""
-    no_return: bool = False
-    """Whether a whole cavity may be without a return, in the shadow of its rim."""
 
 
 class Segmentation(NamedTuple):
@@ -51,71 +49,21 @@ class Segmentation(NamedTuple):
     """Whether a network may separate the parts instead."""
 
 
-class CostTerms(NamedTuple):
-    """The terms of a fit's cost [m], or their weights."""
-
-    outside: float
-    """RMS of the distances from the intervals, see `refine.Intervals`."""
-    filled: float
-    """RMS of the residuals of the filled part."""
-    outline: float
-    """Difference along the cavity's outline, see `height_maps.outline_cost`."""
-    contradicted: float
-    """Contradiction by the image, see `contradictions.Contradictions.cost`."""
-    coarse: float
-    """Cost of the coarse search."""
-    unseen: float
-    """Cost of a face that the part's volume does not have."""
-
-    def weighted(self, weights: CostTerms) -> float:
-        """[m] the sum of the terms, weighted."""
-        return sum(weight * term for weight, term in zip(weights, self, strict=True))
-
-
-COST = CostTerms(2.0, 1.0, 0.25, 1.0, 0.0, 1.0)
-"""Weights of the cost that ranks the fits, for all kinds of image."""
-
-
 @dataclass(frozen=True)
 class Refinement:
-    """Settings of the refinement of candidates, and of the uncertainty of the fits."""
+    """Settings of the refinement of candidates."""
 
     passes: tuple[Sequence[float], Sequence[float]]
     """[m] scales of the robust weights in both passes; the second pass sweeps the part in the refined rotation."""
-    doubtful: float
-    """[m] of cost: as long as the best fit costs more, more candidates are refined."""
-    tilt: float
-    """[rad] a doubtful best fit is tilted by this angle and refined again, unless the part lies as it is inserted."""
     prior: float
     """Weight of the filled part beside the bounds of the part."""
     completed_prior: float
     """The same weight if a network completed the part."""
-    uncertainty: CostTerms
-    """Weights of the uncertainty: confidence uses other weights than ranking."""
-    hidden: float = 0.0
-    """[m] uncertainty of a part whose whole outline is hidden, in proportion to the hidden share."""
     noise_px: float = 0.0
     """[px] scale of the disparity residuals at which the best fits are refined in the image; 0: they are not."""
-    image_cost: float = 0.0
-    """[m] cost per unit of image cost above that of the best fit."""
-    spread: float = 0.0
-    """[m] uncertainty of a fit whose place in the image is e times less certain than usual."""
-    camera: float = 0.0
-    """Uncertainty per metre by which the error left in the camera's pose moves the goal, beyond the usual."""
     raise_goal: float = 0.0
     """[m] the goal is raised out of the cavity by this per metre of the part's half width: a part that is tilted by
     an error touches the cavity's floor early."""
-
-
-class Curve(NamedTuple):
-    """A logistic curve that falls with a cost, fitted to predictions whose outcome is known."""
-
-    half: float
-    """[m] cost at which the probability is one half."""
-    spread: float
-    """[m]"""
-    margin_share: float = 0.0
-    """Share of a fit's margin over the other poses that is taken off its uncertainty."""
 
 
 @dataclass(frozen=True)
@@ -123,16 +71,13 @@ class ImageKind:
     """Depth images with errors of one kind."""
 
     name: str
-    """Simulated sensor whose tracks hold such images; of denoised images: restored."""
+    """Simulated sensor whose tracks hold such images; of denoised images: restored. It names the weights that rank the
+    fits, see `registration.rank.ranking_of`."""
     noise: Noise
     flatness: float
     """[m] deviation from a plane at which the robot's suction cup still seals, as the image shows the surface."""
     segmentation: Segmentation
     refinement: Refinement
-    curve: Curve
-    """Probability that a fit is seated, by its uncertainty."""
-    right_plate: Curve
-    """Probability that a part belongs to a plate, by the cost of its best fit there; fitted to places of split val."""
     exact: bool = False
     """Whether there is nothing to calibrate."""
     restores: bool = False
@@ -152,21 +97,15 @@ class ImageKind:
 _SPLIT_WEIGHTS = (8.33, -0.12, -0.17, -0.07, -0.81, -4.10, -2.31, -1.16, 6.01, 5.46, 1.96, -0.57, 6.68)
 _EXACT_REFINEMENT = Refinement(
     passes=((4e-3, 2e-3, 1e-3), (1e-3, 0.5e-3)),
-    doubtful=2.6e-3,
-    tilt=float(np.radians(8)),
     prior=0.1,
     completed_prior=0.1,
-    uncertainty=COST,
 )
 _STEREO_REFINEMENT = Refinement(
     # Edges are off by 1.4 mm at random: a narrow scale would follow single walls.
     passes=((4e-3, 2e-3), (2e-3, 1.5e-3)),
-    doubtful=4e-3,
-    tilt=0.0,
     # The bounds of the part are hardly more certain than what a network fills.
     prior=0.3,
     completed_prior=1.0,
-    uncertainty=CostTerms(0.0, 1.0, 1.0, 1.0, 5.0, 1.0),
     noise_px=1.0,
 )
 
@@ -176,19 +115,14 @@ IDEAL = ImageKind(
     flatness=0.5e-3,
     segmentation=Segmentation(3e-4, 1.5e-3, 2, 0.35e-3, 2e-3, 60, _SPLIT_WEIGHTS),
     refinement=_EXACT_REFINEMENT,
-    # Fitted to 210 snaps of turned parts (train) and 100 places (val).
-    curve=Curve(3.5e-3, 0.7e-3, 0.5),
-    right_plate=Curve(2.95e-3, 0.29e-3),
     exact=True,
 )
 PHOTONEO = ImageKind(
     name="photoneo",
-    noise=Noise(1e-3, float(np.radians(6)), 5, float(np.radians(6)), no_return=True),
+    noise=Noise(1e-3, float(np.radians(6)), 5, float(np.radians(6))),
     flatness=1e-3,
     segmentation=Segmentation(1e-3, 2e-3, 3, 1e-3, 2.5e-3, 60, _SPLIT_WEIGHTS),
     refinement=replace(_EXACT_REFINEMENT, noise_px=1.2, raise_goal=0.006),
-    curve=IDEAL.curve,
-    right_plate=Curve(3.2e-3, 0.4e-3),
     fills_holes=True,
 )
 RESTORED = ImageKind(
@@ -196,19 +130,7 @@ RESTORED = ImageKind(
     noise=Noise(1.2e-3, float(np.radians(6)), 5, float(np.radians(6)), wavy_rims=True),
     flatness=2.5e-3,
     segmentation=Segmentation(1e-3, 2e-3, 3, 1e-3, 3e-3, 150, _SPLIT_WEIGHTS, network=True),
-    refinement=replace(
-        _STEREO_REFINEMENT,
-        uncertainty=CostTerms(0.0, 1.0, 0.0, 0.3, 0.0, 0.0),
-        hidden=1e-3,
-        noise_px=0.6,
-        image_cost=0.1,
-        spread=1e-3,
-        camera=0.6,
-        raise_goal=0.014,
-    ),
-    # Fitted to 376 snaps (train): 206 of one frame, 100 of 30 frames, 70 from 0.6 m.
-    curve=Curve(1.5e-3, 1.05e-3, 0.125),
-    right_plate=Curve(3.9e-3, 0.6e-3),
+    refinement=replace(_STEREO_REFINEMENT, noise_px=0.6, raise_goal=0.014),
 )
 D415 = ImageKind(
     name="d415",
@@ -219,9 +141,6 @@ D415 = ImageKind(
         (2.73, -0.09, 0.03, -0.22, 0.08, 0.55, 0.32, -2.09, 6.02, 3.73, 0.45, -0.34, -5.13),
     ),
     refinement=_STEREO_REFINEMENT,
-    # Fitted to 73 snaps and 47 places (val) of data version 1.0.0.
-    curve=Curve(10.2e-3, 6.5e-3, 0.5),
-    right_plate=Curve(4.6e-3, 1.1e-3),
     restores=True,
     denoised=RESTORED,
 )

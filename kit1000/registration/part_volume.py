@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.ndimage import find_objects, maximum_filter
+from scipy.ndimage import map_coordinates
 
 from kit1000.perception.observed.parts import AROUND, HALF_WIDTH, ObservedPart, PartBounds
 from kit1000.perception.observed.pixels import pixel_points
 from kit1000.pose import Pose
 from kit1000.values import LabelledDepth, TrueGeometry
 from kit1000.voxels import Grid, Volume, signed_distance, surface_points
+from kit1000.voxels.grid import DEFAULT_TRUNCATION
 
 if TYPE_CHECKING:
     from kit1000.perception.completion.parts import CompletedPart, PartCompleter
@@ -21,7 +23,6 @@ if TYPE_CHECKING:
 VOXEL = 1e-3  # [m] of the part's volumes
 SEEN_POINTS = 1500  # points of the part's surface that are read
 SLIMMER, WIDER = 1.0, -1.5  # logits above which the part is solid, for cavities of a slimmer and of a wider part
-RING = 2  # [px] width of the ring around the part in which its outline may be hidden
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,8 +40,19 @@ class PartShape:
     """[m] of the part as it lies, if that is known better than by its volume."""
     completed: CompletedPart | None = None
     """The part as a network completed it; None: no network did."""
-    hidden_outline: float = 0.0
-    """Share of its outline that something nearer hides, see `hidden_outline`."""
+
+    @cached_property
+    def surface(self) -> np.ndarray:
+        """(n, 3) [m] world: points on the surface of the filled part."""
+        points = surface_points(self.bounds.filled)
+        return points[:: max(1, len(points) // SEEN_POINTS)]
+
+    def gap(self, one: Pose, other: Pose) -> float:
+        """[m] mean distance between the surfaces of the filled part after two motions; 0 for a symmetry of the part."""
+        filled = self.bounds.filled
+        places = filled.grid.indices((one.inverse() @ other).apply(self.surface))
+        distances = map_coordinates(filled.values, places.T, order=1, mode="nearest")
+        return float(np.abs(distances).mean()) * DEFAULT_TRUNCATION * filled.grid.voxel_size if len(places) else 0.0
 
     def solid_above(self, logit: float) -> Volume:
         """The part where a network finds it likelier than a logit; the filled part if no network completed it."""
@@ -80,7 +92,6 @@ def seen_part(
         observed.half_width,
         float(points[:, 2].max()) if known_height else None,
         completed,
-        hidden_outline(measured, observed.label),
     )
 
 
@@ -95,24 +106,3 @@ def true_part(geometry: TrueGeometry) -> PartShape:
     points = surface_points(solid)
     points = points[:: max(1, len(points) // SEEN_POINTS)]
     return PartShape(PartBounds(solid, solid, solid), points, middle, half_width)
-
-
-def hidden_outline(image: LabelledDepth, label: int) -> float:
-    """The share, 0 to 1, of a ring around a body that shows another body nearer than the one inside.
-
-    What is seen of such a part may not be all of it.
-
-    Args:
-        image: with the labels of kits and parts.
-        label: of the body, from 1 on; 0.0 if no pixel has it.
-    """
-    box = find_objects((image.labels == label).astype(np.uint8))
-    if not box:
-        return 0.0
-    around = tuple(slice(max(side.start - 2 * RING, 0), side.stop + 2 * RING) for side in box[0])
-    labels, depth = image.labels[around], image.view.depth[around]
-    body = labels == label
-    ring = maximum_filter(body, 2 * RING + 1) & ~body
-    inside = maximum_filter(np.where(body, depth, 0.0), 2 * RING + 1)  # the farthest pixel beside; 0 has no return
-    nearer = ring & (labels > 0) & (depth > 0) & (depth < inside)
-    return float(np.count_nonzero(nearer) / max(np.count_nonzero(ring), 1))

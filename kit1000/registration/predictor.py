@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh
-from kit1000.perception.image_kinds import IDEAL, ImageKind
+from kit1000.perception.image_kinds import ImageKind
 from kit1000.perception.sensor_facts import SensorFacts, sensor_of
 from kit1000.pose import Pose
 from kit1000.predictor import PredictedMotion
@@ -70,7 +70,7 @@ class Registration:
     def propose(self, query: Query, geometry: TrueGeometry | None = None) -> list[PredictedMotion]:
         """All fits, the best first, each with its confidence."""
         fits = self.fits(query, geometry)
-        return [self._motion(fit, fits, query) for fit in fits]
+        return [self._motion(fit, fits) for fit in fits]
 
     def together(self, queries: Sequence[Query]) -> PredictedMotion:
         """The best fit by several images of one part, which cameras took in one world."""
@@ -127,13 +127,11 @@ class Registration:
         """The first of the fits; without fits the guess or no motion."""
         if not fits:
             return PredictedMotion(Pose.identity() if query.guess is None else query.guess, 0.0)
-        return self._motion(fits[0], fits, query)
+        return self._motion(fits[0], fits)
 
-    def _motion(self, fit: Fit, fits: list[Fit], query: Query) -> PredictedMotion:
+    def _motion(self, fit: Fit, fits: list[Fit]) -> PredictedMotion:
         """One of the fits, with its confidence."""
-        kind = IDEAL if self.uses_true_geometry else self._sensor(query).kind
-        curve = kind.curve if self.restoration is None else kind.best.curve
-        return PredictedMotion(fit.goal_from_now, confidence(fit, fits, query.pivot, curve))
+        return PredictedMotion(fit.goal_from_now, confidence(fit, fits))
 
     def _sensor(self, query: Query) -> SensorFacts:
         """The facts about the sensor of a query."""

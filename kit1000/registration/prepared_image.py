@@ -1,7 +1,7 @@
-"""The depth image of a query, calibrated and restored: what registration reads of it, for all parts of its scene.
+"""The depth image of a query, calibrated and restored: what registration reads of it.
 
-All is done when the image is prepared, except that networks restore and complete a part at its first use: most queries
-are about one part only. The images hold in the world of the recorded image: calibration corrects the pose
+All is done when the image is prepared, except that networks restore and complete the part when it is read. The images
+hold in the world of the recorded image: calibration corrects the pose
 of the camera and the depths, so the pivot and the guess of a query are valid beside them.
 """
 
@@ -16,10 +16,9 @@ from kit1000.perception.image_kinds import ImageKind
 from kit1000.perception.observed.parts import ObservedPart
 from kit1000.perception.restoration import restored_edges, unbent_image
 from kit1000.perception.sensor_facts import SensorFacts
-from kit1000.queries.pivots import part_pivots
 from kit1000.registration.kit_volume import KitCavities, SeenKits
 from kit1000.registration.part_volume import PartShape, seen_part
-from kit1000.registration.search import LARGEST, affordable
+from kit1000.registration.search import LARGEST
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, Query
 
 if TYPE_CHECKING:
@@ -88,30 +87,20 @@ class PreparedImage:
             self._closed = _closed(self.measured, sensor, networks.filler)
         self.kits = KitCavities(SeenKits.of((self._closed[0], *self.others), self.kind.noise), query)
 
-    def parts(self, query: Query) -> Iterator[tuple[PartShape, RestoredImage]]:
-        """The part of a query about this image, once for each way to close its holes; none if it is too large.
+    def parts(self) -> Iterator[tuple[PartShape, RestoredImage]]:
+        """The part of the query, once for each way to close its holes; none if it is too large.
 
         A scanner leaves holes in parts: each way to close them is tried, and the best fit decides.
         """
-        label, placer = FIRST_PART_LABEL + query.part, None
+        label, pivot, placer = FIRST_PART_LABEL + self.query.part, self.query.pivot, None
         for closed in self._closed:
             image = closed
             if self._restoration is not None:
                 image, placer = self._restoration.with_bodies((label,), closed.view.depth), self._networks.placer
-            observed = ObservedPart(image, label, query.pivot, self.others)
+            observed = ObservedPart(image, label, pivot, self.others)
             if observed.half_width <= LARGEST:
                 shape = seen_part(observed, self.measured, self._networks.completer, self._restores, self._filled_only)
                 yield shape, RestoredImage(image, self.measured, self.gain, placer)
-
-    def rivals(self) -> Iterator[Query]:
-        """The query about each other part of the image whose search is affordable."""
-        query = self.query
-        pivots = part_pivots(self.recorded.view, self.recorded.labels) | {query.part: query.pivot}
-        seen = {part: ObservedPart(self.recorded, FIRST_PART_LABEL + part, pivot) for part, pivot in pivots.items()}
-        half_widths = {part: each.half_width for part, each in seen.items()}
-        own = half_widths.pop(query.part)
-        for part in affordable(half_widths, own):
-            yield replace(query, part=part, pivot=pivots[part])
 
 
 def _calibrated(image: LabelledDepth, sensor: SensorFacts) -> tuple[LabelledDepth, CameraEstimate | None]:

@@ -12,7 +12,7 @@ material. Both read certain bounds alone, in metres, so that what the image hide
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
 from typing import NamedTuple
@@ -28,7 +28,6 @@ from kit1000.perception.image_kinds import Noise
 from kit1000.perception.observed.parts import HALF_WIDTH
 from kit1000.pose import Pose, quaternion_between
 from kit1000.queries.guesses import MAX_ANGLE, MAX_OFFSET
-from kit1000.queries.motions import apply_error
 from kit1000.registration.geometry.cavity import BELOW, CUT, VOXEL, Cavity, cells_at
 from kit1000.registration.geometry.faces import right_angled, squared, standing_faces
 from kit1000.registration.geometry.height_maps import (
@@ -66,13 +65,11 @@ ORDER = 1e-14  # added from cell to cell, in all less than that grid: the first 
 
 LARGEST = 0.1  # [m] from the middle of a part to its sides; larger parts are not searched
 TRIES = 160.0  # units of work for all candidates of a part that are refined
-OTHERS = 16.0  # units of work for the searches for other parts of an image
 TOLERANCE = 1e-3  # [m] error of voxels and of the coarse search: less contradicts nothing
 MOST = 4e-3  # [m] largest contradiction of a point: distances are truncated at 5 mm
 INSIDE = 0.7e-3  # [m] above the shrunk cavity's floor: within the part, whose surface is known to half a voxel
 HEIGHTS = 5  # heights of the floor that are tried, between the lowest and the highest of a cell
-PART_WEIGHT = 2.0  # of part inside kit beside free space inside part, in the cost of a fit
-CHOICE_PART_WEIGHT = 3.0  # the same weight in the choice of candidates
+PART_WEIGHT = 2.0  # of part inside kit beside free space inside part
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,8 +83,6 @@ class Candidate:
     """(3,) unit, world, the part as it lies now: outward normal of the face that goes onto the cavity's floor."""
     cost: float
     """Squared difference of the height maps over that of an empty plate: 0 fits, 1 explains nothing."""
-    seen: bool = True
-    """Whether the volume of the part has the face that goes onto the cavity's floor."""
 
 
 class Faces(NamedTuple):
@@ -97,8 +92,6 @@ class Faces(NamedTuple):
     """(3,) unit, world, each, the part as it lies now."""
     cavities: list[Cavity]
     """Cavities that they may go into."""
-    seen: bool
-    """Whether the volume of the part has these faces."""
 
 
 def find_candidates(part: PartShape, kits: KitCavities, query: Query, clearance: float) -> list[Candidate]:
@@ -119,8 +112,7 @@ def find_candidates(part: PartShape, kits: KitCavities, query: Query, clearance:
     window = SearchWindow(query.pivot, query.guess, MAX_ANGLE + SLACK_ANGLE, MAX_OFFSET + SLACK_OFFSET)
     found: list[Candidate] = []
     for faces in faces_down(filled, query.guess, cavities, kits.noise):
-        candidates = coarse_search(filled, part.middle, faces.normals, faces.cavities, clearance, window, part.height)
-        found += candidates if faces.seen else [replace(candidate, seen=False) for candidate in candidates]
+        found += coarse_search(filled, part.middle, faces.normals, faces.cavities, clearance, window, part.height)
     return sorted(found, key=lambda candidate: candidate.cost)
 
 
@@ -144,34 +136,33 @@ def faces_down(part: Volume, guess: Pose | None, cavities: Sequence[Cavity], noi
     guess allows that: parts seldom stand on two faces less than the error of a guess apart.
     """
     if guess is None:
-        return [Faces([DOWN], list(cavities), True)]
+        return [Faces([DOWN], list(cavities))]
     back = guess.inverse()
     guessed = [back.rotate(cavity.world_from_plate.rotate(DOWN)) for cavity in cavities]
     lies = [bool(matmul(down, DOWN) > LIES) for down in guessed]
     upright, others = list(compress(cavities, lies)), list(compress(cavities, np.logical_not(lies)))
-    seen, unseen = _turned(part, list(compress(guessed, np.logical_not(lies))), noise)
-    return [Faces([DOWN], upright, True), Faces(seen, others, True), Faces(unseen, others, False)]
+    turned = _turned(part, list(compress(guessed, np.logical_not(lies))), noise)
+    return [Faces([DOWN], upright), Faces(turned, others)]
 
 
-def _turned(part: Volume, guessed: Sequence[np.ndarray], noise: Noise) -> tuple[list[np.ndarray], list[np.ndarray]]:
+def _turned(part: Volume, guessed: Sequence[np.ndarray], noise: Noise) -> list[np.ndarray]:
     """Normals (3,) of the faces near a guessed direction that a part may be inserted on if it lies on another one.
 
-    The first list holds the faces on which its volume stands. The second holds the faces that right angles add to
-    them, and the guessed directions (3,) that no face is near to: as they are, and put upright or level.
+    They are the faces on which its volume stands, those that right angles add to them, and the guessed directions (3,)
+    that no face is near to: as they are, and put upright or level.
     """
     if not guessed:
-        return [], []
+        return []
     middle, angle = part.grid.world(np.argwhere(part.occupied)).mean(0), noise.angle
     faces = standing_faces(surface_points(part), middle, angle)
     normals = right_angled([DOWN, -DOWN, *(squared(face.normal, noise.square) for face in faces)], angle)
     large = [face.normal for face in faces if face.area >= LARGE]
     normals += [normal for normal in large if not _any_near(normals, normal, np.cos(angle))]
     near = [normal for normal in normals if _any_near(guessed, normal, np.cos(MAX_ANGLE + SLACK_ANGLE + angle))]
-    shown = [_any_near([face.normal for face in faces], normal, np.cos(angle)) for normal in near]
     free = [down for down in guessed if not _any_near(near, down, NEAR_GUESS)]
     level = [squared(down, MAX_ANGLE) for down in free]
     free = [down for down, put in zip(free, level, strict=True) if put is not down]
-    return list(compress(near, shown)), [*compress(near, np.logical_not(shown)), *level, *free]
+    return [*near, *level, *free]
 
 
 def _any_near(normals: Sequence[np.ndarray], normal: np.ndarray, least: float) -> bool:
@@ -187,16 +178,6 @@ def within_guess_error(goal_from_now: Pose, query: Query) -> bool:
     offset = np.abs(goal_from_now.apply(pivot) - guess.apply(pivot)).max()
     angle = float((goal_from_now @ guess.inverse()).angle())
     return bool(offset <= MAX_OFFSET + 2 * SLACK_OFFSET and angle <= MAX_ANGLE + 2 * SLACK_ANGLE)
-
-
-def tilted(candidate: Candidate, middle: np.ndarray, angle: float) -> list[Candidate]:
-    """A candidate tilted to either side about both axes of the plate by an angle [rad]; none for an angle of 0.
-
-    Another face then goes onto the floor, which may be one that no image shows. middle: (3,) [m] world, of the part.
-    """
-    tilts = ((angle, 0, 0), (-angle, 0, 0), (0, angle, 0), (0, -angle, 0)) if angle else ()
-    poses = [apply_error(candidate.plate_from_now, middle, np.zeros(3), np.array(tilt)) for tilt in tilts]
-    return [replace(candidate, plate_from_now=pose, down_normal=pose.inverse().rotate(-UP)) for pose in poses]
 
 
 @dataclass(frozen=True, eq=False)
@@ -439,25 +420,6 @@ def tries_of(half_width: float, least: int, most: int) -> int:
     return max(least, min(most, int(TRIES / work_of(half_width))))
 
 
-def affordable(half_widths: Mapping[int, float], like: float) -> list[int]:
-    """The other parts whose search OTHERS units of work allow, in their order; those most like a size come first.
-
-    Scenes of up to five parts of 80 mm never reach the limit; images of a user may show dozens of large bodies.
-
-    Args:
-        half_widths: [m] of each part, by index.
-        like: [m] half width of the query's part: a part of its size is a rival for its cavity.
-    """
-    chosen: list[int] = []
-    left = OTHERS
-    for part in sorted(half_widths, key=lambda part: (round(abs(np.log(half_widths[part] / like)), 9), part)):
-        work = work_of(half_widths[part])
-        if half_widths[part] <= LARGEST and work <= left:
-            chosen.append(part)
-            left -= work
-    return sorted(chosen)
-
-
 @dataclass(frozen=True, eq=False)
 class KitHeights:
     """The lowest and the highest surface that a kit can have, and the cells that its part must fill."""
@@ -495,13 +457,8 @@ class Contradictions:
     """Depth of the part's observed points in material of the kit; the mean over these points."""
 
     @property
-    def choice(self) -> float:
-        """[m] contradiction by which candidates are chosen for refinement."""
-        return self.free_in_part + CHOICE_PART_WEIGHT * self.part_in_kit
-
-    @property
     def cost(self) -> float:
-        """[m] contradiction in the cost of a fit."""
+        """[m] both, weighted."""
         return self.free_in_part + PART_WEIGHT * self.part_in_kit
 
 

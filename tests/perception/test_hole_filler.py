@@ -163,5 +163,5 @@ def test_registration_fills_holes_of_scanners_alone(mini: Path) -> None:
     for track, same in (("snap", True), ("snap-d415", True), ("snap-photoneo", False)):
         query = next(iter(dataset.split("val").queries(track)))
         scenes = (method.scene(query) for method in (with_network, by_rules))
-        filled, left = (image.restored.view for scene in scenes for _, image in [next(scene.parts(query))] if image)
+        filled, left = (image.restored.view for scene in scenes for _, image in [next(scene.parts())] if image)
         assert (filled.depth.tobytes() == left.depth.tobytes()) == same

@@ -16,7 +16,7 @@ from kit1000.pose import Pose
 from kit1000.queries.pivots import part_pivots
 from kit1000.registration.method import MOST_TRIED
 from kit1000.registration.predictor import Registration
-from kit1000.registration.search import LARGEST, OTHERS, affordable, tries_of, work_of
+from kit1000.registration.search import LARGEST, tries_of, work_of
 from kit1000.values import FIRST_PART_LABEL, LabelledDepth
 
 widths = st.floats(0.01, 0.5)
@@ -33,24 +33,6 @@ def test_larger_parts_take_more_work_and_get_fewer_tries(one: float, other: floa
 def test_parts_of_the_presets_reach_no_bound() -> None:
     assert work_of(HALF_WIDTH) == 1
     assert tries_of(REAL_LIKE, 9, MOST_TRIED) == MOST_TRIED
-    assert affordable(dict.fromkeys(range(1, 5), REAL_LIKE), HALF_WIDTH) == [1, 2, 3, 4]
-
-
-@given(parts=st.dictionaries(st.integers(0, 60), widths, max_size=60), like=widths)
-def test_as_many_parts_are_asked_as_are_affordable(parts: dict[int, float], like: float) -> None:
-    chosen = affordable(parts, like)
-    assert chosen == sorted(set(chosen))
-    spent = sum(work_of(parts[part]) for part in chosen)
-    assert spent <= OTHERS
-    for part in parts.keys() - set(chosen):
-        assert parts[part] > LARGEST or spent + work_of(parts[part]) > OTHERS
-
-
-def test_of_too_many_parts_those_of_like_size_are_asked() -> None:
-    parts = {part: HALF_WIDTH * (1 + 0.02 * part) for part in range(40)}
-    chosen = affordable(parts, parts[20])
-    assert {19, 20, 21} <= set(chosen)
-    assert not {0, 39} & set(chosen)
 
 
 @pytest.fixture(scope="module")

@@ -51,19 +51,8 @@ def test_the_rims_of_a_cavity_lie_where_its_plate_ends(polar_deg: float) -> None
         assert abs(np.median(side[:, 1]) - sign * HALF[1]) < 0.75 * VOXEL
 
 
-@pytest.mark.parametrize("polar_deg", [5, 30])
-def test_a_cavity_without_any_return_is_found_where_there_may_be_one(polar_deg: float) -> None:
-    volume = plate_seen_from(polar_deg, dark=True)
-    assert find_cavity(volume, Pose.identity(), NOISE) is None
-    cavity = find_cavity(volume, Pose.identity(), NOISE._replace(no_return=True))
-    assert cavity is not None
-    assert cavity.region.sum() * VOXEL**2 == pytest.approx(4 * HALF.prod(), rel=0.15)
-    assert cavity.depth < 2 * CUT  # unknown: the part's height tells it
-    seen = plate_seen_from(polar_deg)
-    known, same = (find_cavity(seen, Pose.identity(), NOISE._replace(no_return=dark)) for dark in (False, True))
-    assert known is not None
-    assert same is not None
-    np.testing.assert_array_equal(known.region, same.region)  # where a floor is seen nothing changes
+def test_a_cavity_without_any_return_is_none() -> None:
+    assert find_cavity(plate_seen_from(30, dark=True), Pose.identity(), NOISE) is None
 
 
 def test_an_oblique_face_is_seen() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import ArrayLike
 
 from kit1000.pose import Pose, random_quaternions
-from kit1000.registration.rank import ALONE, ARM, COMPANY, NEAR, Fit, agreed, difference, mean_motion
+from kit1000.registration.rank import ARM, COMPANY, DISAGREEMENT, NEAR, Fit, agreed, difference, mean_motion
 from kit1000.registration.search import Candidate
 from tests.samples.strategies import poses
 
@@ -32,10 +32,11 @@ WRONG = about(RIGHT, (0, 0, 0), (0, 0, np.pi))
 ELSEWHERE = about(RIGHT, (0.09, 0, 0))
 
 
-def fit(motion: Pose, cost: float = 3e-3, uncertainty: float = 1e-3) -> Fit:
-    """One in a plate at the origin."""
+def fit(motion: Pose, score: float = 1.0) -> Fit:
+    """One in a plate at the origin, of a part without a symmetry."""
     cavity: Any = SimpleNamespace(world_from_plate=Pose.identity())
-    return Fit(motion, cost, uncertainty, Candidate(cavity, motion, DOWN, 0.1))
+    shape: Any = SimpleNamespace(gap=lambda one, other: difference(one, other, MIDDLE))
+    return Fit(motion, score, Candidate(cavity, motion, DOWN, 0.1), shape, cast(Any, None))
 
 
 @given(poses(), st.lists(poses(), min_size=1, max_size=4))
@@ -66,7 +67,7 @@ def test_the_mean_halves_what_two_fits_are_off() -> None:
 
 def test_the_surer_fit_weighs_more() -> None:
     other = about(RIGHT, (4e-3, 0, 0))
-    best, *_ = agreed([[fit(RIGHT, uncertainty=0.0)], [fit(other, uncertainty=3e-3)]], MIDDLE)
+    best, *_ = agreed([[fit(RIGHT, 2.0)], [fit(other, -1.0)]], MIDDLE)
     assert 0 < difference(best.goal_from_now, RIGHT, MIDDLE) < 1.8e-3
 
 
@@ -79,59 +80,48 @@ def test_the_difference_is_of_place_and_angle(motion: Pose, angle: float, place:
 
 
 def test_one_image_keeps_its_fits() -> None:
-    fits = [fit(WRONG), fit(RIGHT, 4e-3)]
+    fits = [fit(WRONG), fit(RIGHT, 0.5)]
     assert agreed([fits], MIDDLE) == agreed([fits, []], MIDDLE) == fits
     assert agreed([], MIDDLE) == agreed([[], []], MIDDLE) == []
 
 
 def test_fits_in_company_win_over_better_ones_alone() -> None:
     slightly = about(RIGHT, (2e-3, 0, 0))
-    images = [[fit(WRONG, 2e-3), fit(RIGHT, 3e-3)], [fit(ELSEWHERE, 2e-3), fit(slightly, 3e-3)]]
+    images = [[fit(WRONG, 2.0), fit(RIGHT, 1.0)], [fit(ELSEWHERE, 2.0), fit(slightly, 1.0)]]
     best, *others = agreed(images, MIDDLE)
     assert difference(best.goal_from_now, RIGHT, MIDDLE) == pytest.approx(1e-3, abs=1e-9)
-    assert best.cost == pytest.approx(3.5e-3)
-    assert {round(other.cost, 9) for other in others} == {(2e-3 + ALONE) / 2}
+    assert best.score == pytest.approx(1.0 - 1e-3 * DISAGREEMENT + COMPANY * np.log(2))
+    assert {round(other.score, 9) for other in others} == {2.0}
     assert len(others) == 2
 
 
 def test_fits_too_far_apart_are_none_of_a_pose() -> None:
     far = about(RIGHT, (1.01 * NEAR, 0, 0))
-    found = agreed([[fit(RIGHT)], [fit(far, 4e-3)]], MIDDLE)
+    found = agreed([[fit(RIGHT)], [fit(far, 0.5)]], MIDDLE)
     assert [each.goal_from_now for each in found] != []
     assert difference(found[0].goal_from_now, RIGHT, MIDDLE) == 0
     assert len(found) == 2
 
 
 def test_the_more_images_agree_the_surer() -> None:
-    uncertainties = []
-    for count in (1, 2, 3, 4):
-        best, *_ = agreed([[fit(RIGHT)]] * count + [[fit(ELSEWHERE, 6e-3)]], MIDDLE)
-        uncertainties.append(best.uncertainty)
-    expected = 1e-3 - COMPANY * np.log([1, 2, 3, 4])
-    np.testing.assert_allclose(uncertainties, expected, atol=1e-12)
+    scores = [agreed([[fit(RIGHT)]] * count + [[fit(ELSEWHERE, -3.0)]], MIDDLE)[0].score for count in (1, 2, 3, 4)]
+    np.testing.assert_allclose(scores, 1.0 + COMPANY * np.log([1, 2, 3, 4]), atol=1e-12)
 
 
 def test_fits_that_differ_are_less_sure() -> None:
     apart = about(RIGHT, (4e-3, 0, 0))
-    near, far = (agreed([[fit(RIGHT)], [fit(other)]], MIDDLE)[0].uncertainty for other in (RIGHT, apart))
-    assert far > near
-
-
-def test_the_order_of_an_image_s_fits_is_kept() -> None:
-    """Fits in the likeliest plate come first, though one in another plate has less cost."""
-    first = [fit(RIGHT, 3e-3), fit(ELSEWHERE, 2.9e-3)]
-    best, *_ = agreed([first, first], MIDDLE)
-    assert difference(best.goal_from_now, RIGHT, MIDDLE) < 1e-12
+    near, far = (agreed([[fit(RIGHT)], [fit(other)]], MIDDLE)[0].score for other in (RIGHT, apart))
+    assert far < near
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_the_order_of_the_images_does_not_matter(seed: int) -> None:
     rng = np.random.default_rng(seed)
     images = [
-        [fit(about(base, rng.normal(0, 1e-3, 3), rng.normal(0, 0.02, 3)), float(rng.uniform(2e-3, 4e-3)))
+        [fit(about(base, rng.normal(0, 1e-3, 3), rng.normal(0, 0.02, 3)), float(rng.uniform(0, 2)))
          for base in (RIGHT, WRONG, ELSEWHERE)]
         for _ in range(3)
     ]  # fmt: skip
     one, other = (agreed(some, MIDDLE)[0] for some in (images, images[::-1]))
     assert difference(one.goal_from_now, other.goal_from_now, MIDDLE) < 1e-9
-    assert one.cost == pytest.approx(other.cost)
+    assert one.score == pytest.approx(other.score)

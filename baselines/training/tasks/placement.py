@@ -184,9 +184,9 @@ class PlacedFits:
 
     def _made(self, query: Query) -> PlacedFit | None:
         scene, (clearance,) = self.registration.scene(query), self.registration.all_clearances
-        ((part, image),) = scene.parts(query)
+        ((part, image),) = scene.parts()
         assert image is not None
-        fits = FitSearch(PartRegistration(scene, part, image, query, clearance)).all_fits()
+        fits = FitSearch(PartRegistration(scene, part, image, clearance)).all_fits()
         patch = plate_patch(part, image, fits[0].candidate, clearance, CELLS + 2 * BORDER) if fits else None
         return None if patch is None else self._placed(patch, fits[0].goal_from_now, part.middle, self._truth_of(query))
 

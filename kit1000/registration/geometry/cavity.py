@@ -20,7 +20,6 @@ RIM = 1e-3  # [m] below the rim, where points are left out: the plate's face is 
 UNDER = 1e-3  # [m] below the floor, beyond which points are of another face: the plate's lower face is 2 mm away
 JUMP = 0.5  # truncations from one voxel down to the next (2.5 mm; a level surface gives 1 mm): a hidden wall
 SPECK = 12e-6  # [m^2] a smaller hole is noise
-NO_RETURN_FREE = 3e-3  # [m] below the face, down to which a hole without any return is taken as free
 CRACK = 3  # cells across; a hole in a deeper cut must be wider, since noise opens cracks to the outside
 
 
@@ -70,16 +69,9 @@ def find_cavity(volume: Volume, world_from_plate: Pose, noise: Noise, deeper: fl
     heights, free = heights_from_above(volume)
     region = _region(heights, free, cut, deeper > 1)
     bottom = heights[region & (heights < -cut)]
-    if len(bottom) * VOXEL**2 >= SPECK:
-        depth = -float(np.percentile(bottom, 3))
-    elif noise.no_return:  # the depth of a hole that returned nothing is unknown, and given as that of the cut
-        unseen = np.isnan(heights)
-        region, depth = _enclosed(unseen, unseen), cut
-        free = np.where(region, -NO_RETURN_FREE, free)
-        if not region.any():
-            return None
-    else:
+    if len(bottom) * VOXEL**2 < SPECK:
         return None
+    depth = -float(np.percentile(bottom, 3))
     face = np.abs(heights) < cut
     points = _points(volume, world_from_plate, region, depth, noise.distance)
     if np.isnan(heights[region]).any():  # the upper edge of a hidden wall is visible

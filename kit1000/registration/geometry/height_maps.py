@@ -11,11 +11,11 @@ from functools import lru_cache, reduce
 from itertools import product
 
 import numpy as np
-from scipy.ndimage import binary_erosion, binary_fill_holes
+from scipy.ndimage import binary_fill_holes
 
 from kit1000.numerics.compiled import compiled
 from kit1000.pose import Pose
-from kit1000.registration.geometry.cavity import VOXEL, Cavity
+from kit1000.registration.geometry.cavity import Cavity
 from kit1000.voxels import Volume
 
 RADIUS = 0.06  # [m] below the middle of a map, where a search for the surface begins at the latest
@@ -24,7 +24,6 @@ MARGIN = 3e-3  # [m] least margin of a map about the volume of a part
 HIDDEN = 2e-3  # [m] a cell that is free down to here belongs to the cavity
 HIDDEN_FLOOR_TRUST = 0.5  # trust in a floor that is deep but hidden
 ISLAND_TRUST = 0.2  # trust in an island of a cavity that is partly hidden
-STEP = 4e-3  # [m] a difference in height that counts fully
 RAY_CELL = 0.5e-3  # [m] cells of the map that rays meet, and the steps along a ray
 DEEPEST = 30e-3  # [m] below the face at which a ray ends
 
@@ -184,19 +183,6 @@ def expected_heights(cavity: Cavity) -> tuple[np.ndarray, np.ndarray]:
     if hidden.any():
         trust[np.asarray(binary_fill_holes(cavity.region), bool) & ~cavity.region] = ISLAND_TRUST
     return heights, trust
-
-
-def outline_cost(part: Volume, cavity: Cavity, plate_from_now: Pose, clearance: float) -> float:
-    """[m] mean distance along the outline between the cavity and the one that the part would cut.
-
-    Each cell counts by its difference in height, fully from STEP on; the sum is divided by the outline's cells.
-    """
-    heights, trust = expected_heights(cavity)
-    envelope = lower_envelope(part, plate_from_now, VOXEL, len(heights))
-    cut = np.minimum(dilated(envelope, VOXEL, clearance), 0)
-    outline = cavity.region & ~np.asarray(binary_erosion(cavity.region), bool)
-    differs = trust * np.minimum(np.abs(heights - cut), STEP) / STEP
-    return float(differs.sum() / outline.sum()) * VOXEL
 
 
 def cavity_heights(part: Volume, plate_from_now: Pose, pivot: np.ndarray, clearance: float) -> np.ndarray:
