@@ -51,7 +51,7 @@ def test_without_the_clearance_parts_reach_their_goals_as_with_it(mini: Path, tr
     targets = Targets.of([truth] * 2, lambda part: geometry.part(part).mesh.vertices)
     motions = [Registration(data)(query).goal_from_now for data in (Dataset(mini), unknown(mini))]
     errors = pose_errors(Pose.stack(motions), targets)
-    assert (errors.position < errors.position[0] + 1e-3).all()
+    assert (errors.position < errors.position[0] + 3e-3).all()
     assert np.degrees(errors.rotation[1]) < np.degrees(errors.rotation[0]) + 3
 
 
