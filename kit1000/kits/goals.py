@@ -85,11 +85,10 @@ def find_goals(design: Design) -> tuple[Pose, FreeAxis | None]:
     order = 1 if axis is not None and abs(axis.direction[2]) > 0.5 else _rotation_order(design)
     declared = [Pose(_design_rotation(design, q), design.kit_from_part.xyz) for q in design.symmetry.rotations]
     flips = _flipped_poses(design, known=declared)
-    goals: list[Pose] = []
-    for pose in [*declared, *flips]:
-        for rotated in _rotated_copies(design, pose, order):
-            if not any(_same_goal(rotated, goal, axis) for goal in goals):
-                goals.append(rotated)
+    candidates, goals = _rotated_copies(design, Pose.stack([*declared, *flips]), order), []
+    while len(candidates):
+        goals.append(candidates[0])
+        candidates = candidates[~_are_near(candidates, goals[-1], axis, SAME_GOAL_ANGLE, SAME_GOAL_SHIFT)]
     return Pose.stack(goals), axis
 
 
@@ -185,14 +184,15 @@ def _relief_difference(a: np.ndarray, b: np.ndarray, weights: np.ndarray) -> flo
     return float(matmul(weights, np.abs(a - b).sum(1)) / (matmul(weights, (a + b).sum(1)) / 2))
 
 
-def _rotated_copies(design: Design, pose: Pose, order: int) -> list[Pose]:
-    """The pose rotated by multiples of 360/order degrees about the vertical through the rim shadow's centroid."""
+def _rotated_copies(design: Design, poses: Pose, order: int) -> Pose:
+    """Each pose of a batch rotated by multiples of 360/order degrees about the vertical through the rim's centroid."""
     centre = np.array([*design.centre, 0.0])
-    rotations = [Pose.from_rotvec(np.array([0, 0, 2 * np.pi * k / order])) for k in range(order)]
-    return [
-        Pose.from_translation(centre) @ rotation @ Pose.from_translation(-centre) @ pose if k else pose
-        for k, rotation in enumerate(rotations)
-    ]
+    turns = np.array([[0, 0, 2 * np.pi * k / order] for k in range(1, order)]).reshape(-1, 3)
+    about = Pose.from_translation(centre) @ Pose.from_rotvec(turns) @ Pose.from_translation(-centre)
+    turned = about @ poses[:, None]
+    wxyz = np.concatenate([poses.wxyz[:, None], turned.wxyz], axis=1)
+    xyz = np.concatenate([poses.xyz[:, None], turned.xyz], axis=1)
+    return Pose(wxyz.reshape(-1, 4), xyz.reshape(-1, 3))
 
 
 def _flipped_poses(design: Design, known: list[Pose]) -> list[Pose]:
@@ -265,16 +265,8 @@ def _design_rotation(design: Design, rotation: np.ndarray) -> np.ndarray:
     return (design.kit_from_part @ Pose(rotation, np.zeros(3))).wxyz
 
 
-def _same_goal(a: Pose, b: Pose, axis: FreeAxis | None) -> bool:
-    """Whether two goals are equal up to a rotation about the free axis."""
-    if axis is not None:
-        b = nearest_about_axis(a, b, axis)
-    close = length(a.xyz - b.xyz) < SAME_GOAL_SHIFT
-    return bool(close and quaternion_angle(a.wxyz, b.wxyz) < SAME_GOAL_ANGLE)
-
-
 def nearest_about_axis(pose: Pose, goal: Pose, axis: FreeAxis) -> Pose:
-    """Goals, one or a batch, rotated about the free axis to the orientation nearest to that of the pose.
+    """Goals rotated about the free axis to the orientation nearest to that of the pose; either may be a batch.
 
     By the twist decomposition of the rotation between them.
     """
@@ -304,7 +296,11 @@ def is_near_goal(pose: Pose, slot: Slot, margin: float = 0.0) -> bool:
 
 
 def _is_near_some_goal(pose: Pose, slot: Slot, most_angle: float, most_shift: float) -> bool:
-    nearest = slot.goals if slot.free_axis is None else nearest_about_axis(pose, slot.goals, slot.free_axis)
-    is_turned_little = quaternion_angle(pose.wxyz, nearest.wxyz) < most_angle
-    shifts = nearest.xyz[is_turned_little] - pose.xyz
-    return any(length(shift) < most_shift for shift in shifts)
+    return bool(_are_near(pose, slot.goals, slot.free_axis, most_angle, most_shift).any())
+
+
+def _are_near(poses: Pose, goals: Pose, axis: FreeAxis | None, most_angle: float, most_shift: float) -> np.ndarray:
+    """(n,) bool: whether poses are within both limits of goals, up to a free axis; either may be a batch of n."""
+    nearest = goals if axis is None else nearest_about_axis(poses, goals, axis)
+    is_turned_little = quaternion_angle(poses.wxyz, nearest.wxyz) < most_angle
+    return is_turned_little & (np.linalg.norm(nearest.xyz - poses.xyz, axis=-1) < most_shift)
