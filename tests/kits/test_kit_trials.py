@@ -6,10 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from manifold3d import CrossSection, Manifold
 
 from kit1000.errors import Redraw
-from kit1000.kits.goals import Design, find_goals
 from kit1000.kits.kit_trials import ANY_FACE, PairCheck, check_pair, fits_at, keyedness
 from kit1000.kits.prepared import PreparedKit, PreparedPart
 from kit1000.kits.seating import InsertedPart, rotated_about_centroid, wrong_poses
@@ -17,17 +15,9 @@ from kit1000.pose import Pose
 from kit1000.symmetry import Symmetry
 from kit1000.values import Kit, Part
 from tests.samples.kits import QUICK, sample_kit, sample_part
-from tests.samples.shapes import Z, box, cylinder, ell, ring_plate, seated
+from tests.samples.shapes import Z, box, cylinder, ell, most_yaw, pair_of, ring_plate, snail_cam
 
 STEP = np.radians(1)
-
-
-def pair_of(solid: Manifold, symmetry: Symmetry | None = None, clearance: float = 2.5e-3) -> tuple[Part, Kit]:
-    """A part and its kit with all goals, inserted as drawn."""
-    place = seated(solid, symmetry, clearance=clearance)
-    goals, axis = find_goals(Design(place.part.mesh, place.part.symmetry, place.kit_from_part, place.shadows))
-    kit = place.kit(goals, clearance=clearance)
-    return place.part, replace(kit, slot=replace(kit.slot, free_axis=axis))
 
 
 def checked(part: Part, kit: Kit) -> PairCheck:
@@ -93,15 +83,7 @@ def test_a_wrong_goal_is_rejected(error: list[float]) -> None:
 def test_keyedness_of_a_box_is_that_of_a_rotating_rectangle(x: float, y: float) -> None:
     """Its corner leaves the rounded rectangle when it stands farther than the clearance from the rectangle."""
     part, kit = pair_of(box(x, y, 20))
-    corners = np.array([[x, y], [-x, y]]) / 2 * 1e-3
-    yaws = np.arange(0, np.pi, 1e-4)
-    c, s = np.cos(yaws), np.sin(yaws)
-    out = np.zeros_like(yaws)
-    for px, py in corners:
-        rotated = np.stack([c * px - s * py, s * px + c * py], 1)
-        beyond = np.maximum(np.abs(rotated) - np.array([x, y]) / 2 * 1e-3, 0)
-        out = np.maximum(out, np.linalg.norm(beyond, axis=1))
-    brute = yaws[np.argmax(out > kit.slot.clearance)]
+    brute = most_yaw(x, y, 2.5)
     prepared = PreparedKit(kit)
     measured = keyedness(InsertedPart.of(part.mesh, prepared.design), prepared)
     assert measured is not None
@@ -132,11 +114,7 @@ def test_rotation_about_the_centroid_keeps_its_position() -> None:
 
 
 def test_keyedness_is_the_yaw_that_jams_in_both_senses() -> None:
-    """A snail cam jams at once when its step rotates forward, and late when it rotates back."""
-    angles = np.radians(np.arange(0, 361, 5.0))
-    radii = 14 + 6 * angles / (2 * np.pi)
-    snail = CrossSection([np.stack([radii * np.cos(angles), radii * np.sin(angles)], 1)])
-    part, kit = pair_of(Manifold.extrude(snail, 20))
+    part, kit = pair_of(snail_cam())
     prepared = PreparedKit(kit)
     design = prepared.design
     inserted = InsertedPart.of(part.mesh, design)

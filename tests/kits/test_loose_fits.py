@@ -2,32 +2,32 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from manifold3d import CrossSection, Manifold
 
-from kit1000.kits.goals import Design, find_goals, is_near_goal
+from kit1000.kits.goals import is_near_goal
 from kit1000.kits.loose_fits import MOST_TILT, find_fit_in_other_slot, find_loose_fit, turned_matrix
 from kit1000.kits.prepared import PreparedKit, PreparedPart
 from kit1000.kits.seating import BISECTION_STEP, InsertedPart, contact_offset
 from kit1000.mesh import Mesh, solid_from_mesh
 from kit1000.pose import Pose, quaternion_angle
-from kit1000.symmetry import Symmetry
 from kit1000.values import FreeAxis, Kit, Slot
 from tests.samples.exact_offset import contact_offset_by_booleans, swept_solid
-from tests.samples.shapes import Z, as_part, box, cylinder, ell, leaning_prism, ring_plate, seated, upturned_tee
-
-
-def pair_of(solid: Manifold, symmetry: Symmetry | None = None) -> tuple[Mesh, Kit]:
-    """A part inserted as drawn, and its kit with all goals."""
-    place = seated(solid, symmetry)
-    goals, axis = find_goals(Design(place.part.mesh, place.part.symmetry, place.kit_from_part, place.shadows))
-    kit = place.kit(goals)
-    return place.part.mesh, replace(kit, slot=replace(kit.slot, free_axis=axis))
+from tests.samples.shapes import (
+    Z,
+    as_part,
+    box,
+    cylinder,
+    ell,
+    leaning_prism,
+    most_yaw,
+    pair_of,
+    ring_plate,
+    snail_cam,
+    upturned_tee,
+)
 
 
 def offset_by_booleans(mesh: Mesh, kit: Kit, pose: Pose) -> float:
@@ -75,7 +75,8 @@ def test_the_search_finds_parts_that_another_slot_accepts_and_no_others(part, ot
     ],
 )
 def test_loose_fits_are_found_and_confirmed_by_booleans(solid, loose: bool) -> None:
-    mesh, kit = pair_of(solid())
+    part, kit = pair_of(solid())
+    mesh = part.mesh
     pose = find_loose_fit(PreparedPart(mesh), PreparedKit(kit))
     assert (pose is not None) == loose
     if pose is not None:
@@ -87,7 +88,8 @@ def test_loose_fits_are_found_and_confirmed_by_booleans(solid, loose: bool) -> N
 @pytest.mark.parametrize("solid", [ell, lambda: box(34, 22, 14), lambda: ring_plate(20, off=6)])
 def test_random_poses_find_no_loose_fit_where_the_search_finds_none(solid) -> None:
     """None of 400 random resting poses over the open area seats away from the goals."""
-    mesh, kit = pair_of(solid())
+    part, kit = pair_of(solid())
+    mesh = part.mesh
     part, prepared, rng = PreparedPart(mesh), PreparedKit(kit), np.random.default_rng(11)
     (lowest, highest), faces = prepared.field.opening, part.faces
     assert find_loose_fit(part, prepared) is None
@@ -161,40 +163,25 @@ def loose_fit(mesh: Mesh, kit: Kit) -> Pose | None:
     return pose
 
 
-def most_yaw(x: float, y: float, clearance: float) -> float:
-    """[deg] to which a rectangle [mm] turns in its outline grown by a clearance [mm] with round corners."""
-    yaws = np.radians(np.arange(0, 45, 0.01))
-    c, s = np.cos(yaws), np.sin(yaws)
-    out = np.zeros_like(yaws)
-    for px, py in ((x / 2, y / 2), (-x / 2, y / 2)):
-        beyond = np.maximum(np.abs(np.stack([c * px - s * py, s * px + c * py], 1)) - np.array([x, y]) / 2, 0)
-        out = np.maximum(out, np.linalg.norm(beyond, axis=1))
-    return float(np.degrees(yaws[np.argmax(out > clearance)]))
-
-
 @pytest.mark.parametrize(("x", "y"), [(20, 16), (24, 14), (26.5, 9), (32, 9), (34, 10), (30, 24)])
 def test_a_box_has_a_loose_fit_where_it_turns_by_more_than_10_degrees(x: float, y: float) -> None:
-    mesh, kit = pair_of(box(x, y, 20))
-    yaw = most_yaw(x, y, 2.5)
+    part, kit = pair_of(box(x, y, 20))
+    mesh = part.mesh
+    yaw = np.degrees(most_yaw(x, y, 2.5))
     assert abs(yaw - 10) > 0.3
     assert (loose_fit(mesh, kit) is not None) == (yaw > 10)
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
 def test_both_senses_of_a_turn_are_tried(mirrored: bool) -> None:
-    """A snail cam jams at once when its step turns forward, and late when it turns back."""
-    angles = np.radians(np.arange(0, 361, 5.0))
-    radii = 14 + 6 * angles / (2 * np.pi)
-    outline = np.stack([radii * np.cos(angles), radii * np.sin(angles)], 1)
-    outline = outline[::-1] * [1, -1] if mirrored else outline
-    mesh, kit = pair_of(Manifold.extrude(CrossSection([outline]), 20))
-    pose = loose_fit(mesh, kit)
-    assert pose is not None
+    part, kit = pair_of(snail_cam(mirrored))
+    assert loose_fit(part.mesh, kit) is not None
 
 
 def test_a_part_that_turns_about_another_point_than_its_centroid_is_found() -> None:
     """A tower at its end draws the centroid 5 mm away from the middle of the cavity."""
-    mesh, kit = pair_of(box(20, 16, 12) + box(6, 16, 40, (7, 0, 0)))
+    part, kit = pair_of(box(20, 16, 12) + box(6, 16, 40, (7, 0, 0)))
+    mesh = part.mesh
     assert abs(mesh.bounds[0][0] + mesh.bounds[1][0]) > 5e-3
     assert loose_fit(mesh, kit) is not None
 

@@ -5,12 +5,13 @@ Solids are drawn in millimetres, standing on z = 0 about the z axis; `standing` 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from manifold3d import CrossSection, FillRule, Manifold, OpType
 
 from kit1000.kits.cavity import Cavity, cut_cavity, insertion_depth
+from kit1000.kits.goals import Design, find_goals
 from kit1000.kits.kit import UNIT_PLATE, Plate, plate_mesh
 from kit1000.kits.patches import EXACT, MERGED
 from kit1000.kits.shadows import PartShadows
@@ -138,6 +139,33 @@ def seated(solid: Manifold, symmetry: Symmetry | None = None, depth: float | Non
     solid_m = solid_from_mesh(Mesh(lowered, part.mesh.faces))
     shadows = PartShadows.of(solid_m, depth)
     return Seated(part, pose, shadows, cut_cavity(shadows, clearance, UNIT_PLATE.width))
+
+
+def pair_of(solid: Manifold, symmetry: Symmetry | None = None, clearance: float = 2.5e-3) -> tuple[Part, Kit]:
+    """A part and its kit with all goals, inserted as drawn."""
+    place = seated(solid, symmetry, clearance=clearance)
+    goals, axis = find_goals(Design(place.part.mesh, place.part.symmetry, place.kit_from_part, place.shadows))
+    kit = place.kit(goals, clearance=clearance)
+    return place.part, replace(kit, slot=replace(kit.slot, free_axis=axis))
+
+
+def most_yaw(x: float, y: float, clearance: float) -> float:
+    """[rad] to which a rectangle [mm] turns in its outline grown by a clearance [mm] with round corners."""
+    yaws = np.arange(0, np.pi, 1e-4)
+    c, s = np.cos(yaws), np.sin(yaws)
+    out = np.zeros_like(yaws)
+    for px, py in ((x / 2, y / 2), (-x / 2, y / 2)):
+        beyond = np.maximum(np.abs(np.stack([c * px - s * py, s * px + c * py], 1)) - np.array([x, y]) / 2, 0)
+        out = np.maximum(out, np.linalg.norm(beyond, axis=1))
+    return float(yaws[np.argmax(out > clearance)])
+
+
+def snail_cam(mirrored: bool = False) -> Manifold:
+    """A cam that jams at once when its step turns forward, and late when it turns back."""
+    angles = np.radians(np.arange(0, 361, 5.0))
+    radii = 14 + 6 * angles / (2 * np.pi)
+    outline = np.stack([radii * np.cos(angles), radii * np.sin(angles)], 1)
+    return Manifold.extrude(CrossSection([outline[::-1] * [1, -1] if mirrored else outline]), 20)
 
 
 def slice_union(solid: Manifold, z: float, step: float = 0.2e-3) -> CrossSection:
