@@ -144,8 +144,3 @@ def test_only_parts_of_queries_move_between_the_shaded_pictures(mini: Path, whol
 def test_a_sheet_of_no_parts_is_rejected(mini: Path) -> None:
     with pytest.raises(InputError, match="no parts in split 'tets'"):
         geometry_sheet(Geometry(mini), "parts", "tets", 2)
-
-
-def test_the_message_about_an_unknown_scene_suggests_a_similar_one(mini: Path) -> None:
-    with pytest.raises(InputError, match=r"no scene 'test-s000' among 4; did you mean test-s0000\?"):
-        scene_sheet(Dataset(mini), "test-s000")

@@ -65,12 +65,6 @@ def test_a_sliding_cube_stops_after_the_distance_of_its_friction() -> None:
         assert world.pose(cube).xyz[0] == pytest.approx(0.5**2 / (2 * 0.3 * GRAVITY), rel=0.05)
 
 
-def test_the_same_calls_give_the_same_bytes() -> None:
-    first, second = dropped(0.05, 100), dropped(0.05, 100)
-    assert first.xyz.tobytes() == second.xyz.tobytes()
-    assert first.wxyz.tobytes() == second.wxyz.tobytes()
-
-
 def test_bodies_that_do_not_meet_do_not_disturb_each_other() -> None:
     with World() as world:
         world.add_ground()
