@@ -6,17 +6,13 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
 from kit1000.cli.command_line import check_least, run
 from kit1000.cli.options import OptionalInt, OptionalPath
 from kit1000.errors import InputError
-from kit1000.files import user_cache
-
-if TYPE_CHECKING:
-    from benchmark.provenance import ResultCache
 
 PROGRAM = "python -m benchmark"
 ABOUT = """The benchmark of KIT1000: scores with intervals, robustness curves, paired tests, Table I, the leaderboard.
@@ -50,10 +46,6 @@ class Score:
     """Predictions that the exact seating test decides: those near a limit, all, or none."""
     workers: int = 1
     """Number of processes for the seating test; any number gives the same scores."""
-    cache: OptionalPath = None
-    """Folder of cached results; below ~/.cache/kit1000 if absent."""
-    no_cache: bool = False
-    """Measure everything, and cache nothing."""
     breakdown: bool = False
     """Print the breakdown by properties of the queries too."""
 
@@ -66,13 +58,12 @@ class Score:
         from kit1000.files import write_bytes, write_own
 
         check_least(workers=(self.workers, 1))
-        cache = _cache(self.cache, self.no_cache)
         if self.out is None:
             _check_scores(self.submission / "scores.json")
         submission = read_checked(self.submission, self.data, self.split)
         if warning := invalid_text(submission):
             print(f"{PROGRAM}: {warning}", file=sys.stderr)
-        scores = score(submission, Dataset(self.data), None, self.split, self.exact, self.workers, cache)
+        scores = score(submission, Dataset(self.data), None, self.split, self.exact, self.workers)
         print(score_text(scores.summary, self.breakdown))  # before a file that cannot be written
         text = json_text(scores.summary).encode()
         if self.out is None:
@@ -143,18 +134,13 @@ class Compare:
     """JSON file for the comparison."""
     workers: int = 1
     """Number of processes for the seating test."""
-    cache: OptionalPath = None
-    """Folder of cached results; below ~/.cache/kit1000 if absent."""
-    no_cache: bool = False
-    """Measure everything, and cache nothing."""
 
     def run(self) -> int:
         """Compare and print."""
         from benchmark.compare import run as compare
 
         check_least(workers=(self.workers, 1))
-        cache = _cache(self.cache, self.no_cache)
-        compare(self.a, self.b, self.data, self.tracks, self.out, self.workers, cache)
+        compare(self.a, self.b, self.data, self.tracks, self.out, self.workers)
         return 0
 
 
@@ -247,15 +233,6 @@ class Documents:
         for path in fill(self.documents, self.results, self.submissions):
             print(f"{path}: filled")
         return 0
-
-
-def _cache(folder: Path | None, none: bool) -> ResultCache | None:
-    """The cache of results; None without one."""
-    from benchmark.provenance import ResultCache
-
-    if none and folder is not None:
-        raise InputError("--cache and --no-cache: give one of them")
-    return None if none else ResultCache(folder or user_cache("scores"))
 
 
 def _check_scores(path: Path) -> None:

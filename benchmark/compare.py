@@ -19,7 +19,6 @@ from benchmark import quantities
 from benchmark.evaluate import PerQuery
 from benchmark.intervals import DRAWS, ENDS, SEED, bootstrap_means
 from benchmark.protocol import read_protocol
-from benchmark.provenance import ResultCache
 from benchmark.quantities import Quantity
 from benchmark.report import Grid, json_text
 from benchmark.score import Scores, score
@@ -91,7 +90,6 @@ def run(
     tracks: Sequence[str] = (),
     out: Path | None = None,
     workers: int = 1,
-    cache: ResultCache | None = None,
 ) -> None:
     """Score two submissions, print their comparison, and write it as JSON.
 
@@ -102,11 +100,10 @@ def run(
         tracks: the tracks to compare; all that both have if empty.
         out: JSON file; nothing is written if absent.
         workers: processes for the seating test.
-        cache: cache of measured rows; none if absent.
     """
     protocol, dataset = read_protocol(), Dataset(data)
     submissions = [read_valid_submission(folder) for folder in (a, b)]
-    first, second = (score(each, dataset, protocol, workers=workers, cache=cache) for each in submissions)
+    first, second = (score(each, dataset, protocol, workers=workers) for each in submissions)
     comparison = compare(first, second, tracks, protocol.draws, protocol.seed)
     if out is not None:
         write_own(out, json_text(asdict(comparison)).encode())

@@ -13,7 +13,7 @@ from typing import Any
 
 from benchmark.evaluate import PerQuery, align, evaluate
 from benchmark.protocol import Protocol, read_protocol
-from benchmark.provenance import ResultCache, cache_key, commit, evaluator
+from benchmark.provenance import commit, evaluator
 from benchmark.queries import ScoredQueries, concatenate, read_queries
 from benchmark.summary import summarise
 from kit1000.dataset.reader import Dataset
@@ -68,7 +68,6 @@ def score(
     split: str | None = None,
     exact: str = "near",
     workers: int = 1,
-    cache: ResultCache | None = None,
 ) -> Scores:
     """Score a submission on the tracks of its manifest.
 
@@ -79,21 +78,15 @@ def score(
         split: the protocol's first, test, if absent; with it the curves are scored too.
         exact: near, all or never: the predictions that the exact seating test decides.
         workers: processes for the seating test.
-        cache: cache of measured rows; none if absent.
     """
     protocol = protocol or read_protocol()
     split = split or protocol.splits[0]
     _check_options(submission, dataset, protocol, split, exact, workers)
     tracks = [track for track in (*protocol.tracks, CURVES) if track in submission.manifest.tracks]
     rotation_only = submission.manifest.predicts == "rotation"
-
-    def measure() -> PerQuery:
-        queries = _queries(dataset, protocol, split, tracks, submission.predictions.query_ids)
-        _check_query_ids(submission, dataset, split, queries)
-        return evaluate(queries, align(submission.predictions, queries), rotation_only, exact, workers)
-
-    key = cache_key(submission.predictions, dataset, split, tracks, rotation_only, exact)
-    rows = measure() if cache is None else cache.rows(key, measure)
+    queries = _queries(dataset, protocol, split, tracks, submission.predictions.query_ids)
+    _check_query_ids(submission, dataset, split, queries)
+    rows = evaluate(queries, align(submission.predictions, queries), rotation_only, exact, workers)
     provenance = _provenance(submission, dataset, protocol, split, exact)
     return Scores(rows, provenance | summarise(rows, protocol, rotation_only))
 

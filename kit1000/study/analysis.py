@@ -1,4 +1,4 @@
-"""From records to numbers: a value for each participant and condition, their differences, and checks of order."""
+"""From records to numbers: a value for each participant and condition, and their differences."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from kit1000.errors import InputError
 from kit1000.study.plan import MAIN_OUTCOME, StudyPlan
 from kit1000.study.questionnaire import SCALES, raw_load
 from kit1000.study.records import Participant, TrialRecord
-from kit1000.study.statistics import FEWEST, Comparison, Crossover, bca_interval, compare, crossover, holm
+from kit1000.study.statistics import FEWEST, Comparison, bca_interval, compare, holm
 
 Measure = Callable[[Sequence[TrialRecord]], float | None]
 """The value of the trials of one participant in one condition; None if there is none."""
@@ -52,8 +52,6 @@ class Row:
     means: Mapping[str, Mean]
     difference: Comparison | None
     """The first condition minus the second, within participants; None with fewer than FEWEST of them."""
-    order: Crossover | None = None
-    """The checks of carry-over and period; None of a scale, or if a participant lacks a value."""
     p_holm: float | None = None
     """The p value adjusted for the six scales."""
 
@@ -166,12 +164,7 @@ def _outcome_row(plan: StudyPlan, people: Sequence[Participant], outcome: Outcom
             value = outcome.measure([trial for trial in person.trials if trial.condition == condition])
             if value is not None:
                 values[condition][person.number] = value
-    row = _row(outcome, values)
-    one, other = values.values()
-    if len(one) < len(people) or len(other) < len(people):
-        return row
-    early = [plan.sessions(number)[0].condition.name == plan.conditions[0] for number in one]
-    return replace(row, order=crossover(list(one.values()), list(other.values()), early))
+    return _row(outcome, values)
 
 
 def _row(outcome: Outcome, values: Values) -> Row:

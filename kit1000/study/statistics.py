@@ -5,7 +5,6 @@ Every comparison is a contrast: a difference a person, tested against zero. What
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -122,53 +121,6 @@ def holm(p_values: Sequence[float]) -> list[float]:
         highest = max(highest, min(1.0, (len(p_values) - rank) * p_values[i]))
         adjusted[i] = highest
     return adjusted
-
-
-@dataclass(frozen=True)
-class Crossover:
-    """Does the order matter? Two groups met two conditions in opposite orders (Hills and Armitage 1979)."""
-
-    n: tuple[int, int]
-    """People who met the first condition first, and second."""
-    carry_over: float
-    """Mean of the sums of both conditions, first group minus second; 0 where nothing is carried over."""
-    carry_over_p: float
-    period: float
-    """How much more the second period has than the first, whatever the condition."""
-    period_p: float
-
-
-def crossover(first: ArrayLike, second: ArrayLike, first_came_first: Sequence[bool]) -> Crossover | None:
-    """The order check of two conditions.
-
-    Args:
-        first, second: (n,) what each person has in either condition.
-        first_came_first: (n,) whether the person met `first` first.
-
-    Returns:
-        None with fewer than two people in a group.
-    """
-    a, b = checked("first", first, ("n",)), checked("second", second, ("n",))
-    early = np.asarray(first_came_first, bool)
-    if min(early.sum(), (~early).sum()) < 2:
-        return None
-    sums, changes = a + b, np.where(early, b - a, a - b)  # the second period minus the first
-    return Crossover(
-        (int(early.sum()), int((~early).sum())),
-        float(sums[early].mean() - sums[~early].mean()),
-        _welch(sums[early], sums[~early]),
-        float((changes[early].mean() + changes[~early].mean()) / 2),
-        _welch(changes[early], -changes[~early]),
-    )
-
-
-def _welch(one: np.ndarray, other: np.ndarray) -> float:
-    """Two-sided p of Welch's test; 1 where both are the same constant."""
-    if not (_varies(one) or _varies(other)):
-        return 1.0 if one[0] == other[0] else 0.0
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # one of the two may be constant
-        return float(stats.ttest_ind(one, other, equal_var=False).pvalue)  # type: ignore[attr-defined]
 
 
 def _values(differences: ArrayLike) -> np.ndarray:

@@ -106,22 +106,6 @@ def test_the_ends_are_percentiles_of_the_resamples() -> None:
     assert mean_interval(values, labels, draws=1001) == pytest.approx((means[25], means[975]))
 
 
-def test_clusters_of_one_value_each_are_the_ordinary_bootstrap() -> None:
-    values = np.random.default_rng(2).exponential(size=400)
-    lo, hi = mean_interval(values, np.arange(400), draws=20_000)
-    deviation = values.std() / np.sqrt(400)
-    rng = np.random.default_rng(3)
-    ordinary = np.quantile([rng.choice(values, 400).mean() for _ in range(20_000)], (0.025, 0.975))
-    np.testing.assert_allclose((lo, hi), ordinary, atol=0.1 * deviation)
-    assert hi - lo == pytest.approx(2 * 1.96 * deviation, rel=0.05)
-
-
-def test_copies_of_a_value_in_its_cluster_do_not_narrow_the_interval() -> None:
-    values = np.random.default_rng(4).standard_normal(50)
-    once = mean_interval(values, np.arange(50))
-    assert mean_interval(np.repeat(values, 20), np.repeat(np.arange(50), 20)) == pytest.approx(once)
-
-
 def coverage(clusters: int, trials: int, between: float, by_cluster: bool) -> float:
     """Share of intervals that contain the true mean, 5."""
     hits = 0
@@ -198,16 +182,6 @@ def test_labels_may_be_text() -> None:
     values, labels = clustered(np.random.default_rng(8))
     text = np.array([f"test-s{label:04d}" for label in labels])
     assert mean_interval(values, text) == mean_interval(values, labels)
-
-
-def test_a_shift_and_a_scale_of_the_values_shift_and_scale_the_interval() -> None:
-    values, labels = clustered(np.random.default_rng(9))
-    lo, hi = mean_interval(values, labels)
-    assert mean_interval(3 * values - 7, labels) == pytest.approx((3 * lo - 7, 3 * hi - 7))
-
-
-def test_one_value_is_its_own_interval() -> None:
-    assert mean_interval([4.5], ["a"]) == (4.5, 4.5)
 
 
 def test_equal_values_have_an_interval_of_no_width() -> None:

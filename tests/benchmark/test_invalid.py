@@ -123,7 +123,7 @@ def test_a_fault_of_form_stops_the_scoring_by_name(
     spoil(perfect.folder)
     with pytest.raises(InputError, match=f"mine: .*{expected}"):
         read_checked(perfect.folder, dataset.root, "test")
-    assert main(["score", str(perfect.folder), "--data", str(dataset.root), "--no-cache"]) == 2
+    assert main(["score", str(perfect.folder), "--data", str(dataset.root)]) == 2
     out, err = capsys.readouterr()
     assert (out, err.count("\n")) == ("", 1)
     assert not (perfect.folder / "scores.json").exists()
@@ -143,7 +143,7 @@ def test_the_command_says_how_many_rows_are_invalid_and_shows_the_coverage(
     folder, line = perfect.folder, line_of_snap(perfect.folder)
     edit(folder, line, with_field("qw", "nan"))
     edit(folder, line + 1, with_field("confidence", "2"))
-    words = ["score", str(folder), "--data", str(dataset.root), "--no-cache", "--exact", "never"]
+    words = ["score", str(folder), "--data", str(dataset.root), "--exact", "never"]
     assert main(words) == 0
     out, err = capsys.readouterr()
     begins = f"python -m benchmark: {folder}: 2 rows are no valid predictions; their queries count as no motion;"

@@ -15,7 +15,6 @@ from kit1000.dataset.reader import SPLIT_QUERIES
 from kit1000.errors import InputError
 from kit1000.generation.plan import dataset_id, make_plan
 from kit1000.generation.presets import PRESETS
-from kit1000.metrics import METRIC_VERSIONS
 from kit1000.queries.guesses import FIXED_LEVELS, LEVELS, MAX_ANGLE, MAX_OFFSET
 from kit1000.queries.tracks import TRACKS
 
@@ -39,51 +38,26 @@ def test_frozen_protocols_never_change() -> None:
         assert not frozen or hashlib.sha256(path.read_bytes()).hexdigest() == FROZEN[path.stem], path.name
 
 
-def test_tracks_are_those_of_the_dataset() -> None:
-    tracks = read_protocol().tracks
-    assert {name: row["sensor"] for name, row in tracks.items()} == {
+def test_the_protocol_agrees_with_dataset_metrics_and_descriptions() -> None:
+    protocol = read_protocol()
+    assert {name: row["sensor"] for name, row in protocol.tracks.items()} == {
         name: track.sensor for name, track in TRACKS.items()
     }
-    for name, row in tracks.items():
+    for name, row in protocol.tracks.items():
         assert (row["guess"] is not None) == (TRACKS[name].guess is not None)
-        assert row["split"] == read_protocol().splits[0]
-
-
-def test_splits_are_those_of_the_reader() -> None:
-    protocol = read_protocol()
+        assert row["split"] == protocol.splits[0]
     assert {*protocol.splits, protocol.curves["split"]} == set(SPLIT_QUERIES)
-
-
-def test_the_dataset_is_the_one_its_preset_makes() -> None:
-    dataset = read_protocol().dataset
-    preset = PRESETS[dataset["preset"]]
-    assert dataset["id"] == dataset_id(make_plan(preset, preset.seed))
-
-
-def test_curves_are_those_of_the_dataset() -> None:
-    curves = read_protocol().curves
+    preset = PRESETS[protocol.dataset["preset"]]
+    assert protocol.dataset["id"] == dataset_id(make_plan(preset, preset.seed))
+    curves, limits = protocol.curves, protocol.thresholds
     assert (curves["levels"], tuple(curves["fixed_levels"])) == (LEVELS, FIXED_LEVELS)
     assert (curves["most_mm"], curves["most_deg"]) == pytest.approx((MAX_OFFSET * 1e3, np.degrees(MAX_ANGLE)))
-
-
-def test_metric_versions_are_those_of_the_code() -> None:
-    assert read_protocol().metric_versions.items() <= METRIC_VERSIONS.items()
-
-
-def test_every_metric_of_a_score_has_a_version() -> None:
-    assert {quantity.metric for quantity in QUANTITIES} - {None} == set(read_protocol().metric_versions)
-
-
-def test_descriptions_name_the_thresholds() -> None:
-    limits = read_protocol().thresholds
+    assert {quantity.metric for quantity in QUANTITIES} - {None} == set(protocol.metric_versions)
     assert f"{limits['beyond_mm']:g} mm or {limits['beyond_deg']:g}°" in BEYOND.description
     assert f"{limits['strict_mm']:g} mm in place of {limits['seated_mm']:g} mm" in STRICT.description
-
-
-def test_bins_increase() -> None:
-    protocol = read_protocol()
-    for edges in (*protocol.breakdown.values(), *protocol.histograms.values()):
-        assert (np.diff(edges) > 0).all()
+    assert all(
+        (np.diff(edges) > 0).all() for bins in (protocol.breakdown, protocol.histograms) for edges in bins.values()
+    )
     assert all(edges[0] == 0 for edges in protocol.histograms.values())  # nothing falls below the first bin
 
 

@@ -15,14 +15,14 @@ from benchmark import evaluate as module
 from benchmark import provenance
 from benchmark.evaluate import PerQuery, align, evaluate
 from benchmark.protocol import read_protocol
-from benchmark.queries import ScoredQueries, read_queries
+from benchmark.queries import ScoredQueries
 from benchmark.report import Grid, json_text, rounded
 from benchmark.score import Scores, read_checked, score
 from benchmark.summary import TITLES, binned, groups, histogram, risk_coverage, summarise
 from kit1000 import Dataset
 from kit1000.errors import InputError
 from kit1000.metrics import Seatings
-from kit1000.pose import Pose, quaternion_angle
+from kit1000.pose import Pose
 from kit1000.queries.tracks import CURVES
 from kit1000.submission import (
     Submission,
@@ -114,22 +114,6 @@ def test_every_goal_scores_as_the_ground_truth_also_from_a_file(tmp_path: Path) 
     assert rows.quantities["rotation_plain_deg"].max() > 1  # the plain error is to one goal only
 
 
-def test_errors_of_a_single_goal_are_what_they_are_by_hand() -> None:
-    queries = made_up(12, CURVES)
-    motions = near_goals(queries)
-    rows, vertices = rows_of(queries, motions), queries.geometry.part("part0").mesh.vertices
-    for i, (truth, moved) in enumerate(zip(queries.truths, motions, strict=True)):
-        if rows.symmetry[i] != "one goal":
-            continue
-        goal = goal_of(truth)
-        apart = moved.apply(truth.world_from_part.apply(vertices)) - goal.apply(truth.world_from_part.apply(vertices))
-        assert rows.quantities["mssd_mm"][i] == pytest.approx(1e3 * np.linalg.norm(apart, axis=1).max())
-        assert rows.quantities["position_mm"][i] == pytest.approx(
-            1e3 * np.linalg.norm(moved.apply(truth.anchor) - goal.apply(truth.anchor))
-        )
-        assert rows.quantities["rotation_deg"][i] == pytest.approx(np.degrees(quaternion_angle(moved.wxyz, goal.wxyz)))
-
-
 def test_a_missing_prediction_counts_as_no_motion(seating_results: None) -> None:
     queries = made_up(12)
     motions = near_goals(queries)
@@ -170,16 +154,6 @@ def test_left_out_queries_are_told_by_the_check_and_stop_no_score(
     assert report.good
     assert "missing-predictions" in {warning.code for warning in report.warnings}
     assert len(read_checked(tmp_path / "some", dataset.root, "test").predictions) == len(chosen)
-
-
-def test_queries_can_be_limited_to_some_scenes(dataset: Dataset) -> None:
-    """So curves may be of some scenes; of a scene that is predicted in part, all queries count."""
-    queries = read_queries(dataset, "test", ["snap", "place"])
-    scene_id = queries.scene_ids[-1]
-    chosen = queries.of_scenes([scene_id])
-    assert set(chosen.scene_ids) == {scene_id}
-    assert chosen.query_ids == tuple(i for i in queries.query_ids if i.startswith(scene_id + "-"))
-    assert len(chosen.tracks) == len(chosen)
 
 
 def test_the_order_of_rows_does_not_matter(perfect: Submission, dataset: Dataset, perfect_score: Scores) -> None:

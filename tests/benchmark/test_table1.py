@@ -11,7 +11,6 @@ from typing import Any
 
 import pytest
 
-from benchmark.protocol import read_protocol
 from benchmark.table1 import NOT_YET, PAPER_ROWS, as_html, as_markdown, read_table, run, sections
 from kit1000.errors import InputError
 from kit1000.queries.tracks import PAPER_TRACKS, TRACKS
@@ -185,38 +184,20 @@ def test_every_track_has_the_numbers_of_that_track(submissions: Path) -> None:
         assert ("mm, paper" in row) == (name in PAPER_TRACKS.values())
 
 
-def test_a_missing_submission_differs_from_a_missing_prediction(submissions: Path) -> None:
-    rotations = cells(submissions, "place-paper")["KitNet"]
+def test_what_is_missing_is_told_apart(submissions: Path) -> None:
+    """A missing submission, prediction, measurement and printed number; and no cell has a minus zero."""
+    nothing = {"mean": None, "median": None, "ci95": None}
+    put(submissions, "none", {"snap": track(1, 1, position_mm=nothing, position_plain_mm=nothing)}, {"label": "None"})
+    put(submissions, "zero", {"snap": track(-0.001, 1)}, {"label": "Zero"})
+    rotations, snap = cells(submissions, "place-paper")["KitNet"], cells(submissions, "snap")
     assert (rotations["mm, mean"], rotations["°, mean"]) == ("–", "40.00 [39.00, 41.00]")
-    assert cells(submissions, "snap")["SnapNet"]["n"] == "–"
-    assert cells(submissions, "snap")["TransporterNet"]["n"] == NOT_YET
+    assert (snap["SnapNet"]["n"], snap["TransporterNet"]["n"]) == ("–", NOT_YET)
+    assert [snap["None"][f"mm, {name}"] for name in ("mean", "plain mean", "median")] == ["–"] * 3
+    assert snap["Zero"]["mm, median"] == "0.00"
     overview = cells(submissions, "As in the paper")
-    assert overview["KitNet"]["cameras"] == "top"
+    assert [overview["KitNet"][key] for key in ("cameras", "without: mm")] == ["top", "–"]
     assert overview["TransporterNet"]["with: mm"] == NOT_YET
     assert "ICP from the guess" not in overview  # it predicts for neither of the paper's tracks
-
-
-def test_a_number_that_the_paper_lacks_is_not_awaited(tmp_path: Path) -> None:
-    row = cells(tmp_path, "As in the paper")["KitNet"]
-    assert [row[f"without: {unit}"] for unit in ("mm", "°")] == ["–", NOT_YET]
-
-
-def test_a_quantity_that_was_not_measured_leaves_cells_empty(tmp_path: Path) -> None:
-    nothing = {"mean": None, "median": None, "ci95": None}
-    put(tmp_path, "guess", {"snap": track(1, 1, position_mm=nothing, position_plain_mm=nothing)}, GUESS)
-    row = cells(tmp_path, "snap")["Initial guess, unchanged"]
-    assert [row[f"mm, {name}"] for name in ("mean", "plain mean", "median")] == ["–"] * 3
-
-
-def test_no_cell_has_a_minus_zero(tmp_path: Path) -> None:
-    put(tmp_path, "guess", {"snap": track(-0.001, 1)}, GUESS)
-    assert cells(tmp_path, "snap")["Initial guess, unchanged"]["mm, median"] == "0.00"
-
-
-def test_the_first_line_has_protocol_versions_and_dataset(submissions: Path) -> None:
-    first = as_markdown(read_table(submissions)).splitlines()[0]
-    for fact in ("kit1000-2026 (draft)", "91f0221d05e7d974", "split test", "position@v1", "rotation@v1"):
-        assert fact in first
 
 
 @pytest.mark.parametrize(
@@ -240,14 +221,11 @@ def test_a_file_without_scores_is_refused_by_name(submissions: Path) -> None:
         read_table(submissions)
 
 
-def test_a_folder_that_is_not_there_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no folder of submissions"):
-        read_table(tmp_path / "submisions")
-
-
 def test_every_markdown_line_of_a_table_has_as_many_cells(submissions: Path) -> None:
     text = as_markdown(read_table(submissions))
     assert text == as_markdown(read_table(submissions))
+    for fact in ("kit1000-2026 (draft)", "91f0221d05e7d974", "split test", "position@v1", "rotation@v1"):
+        assert fact in text.splitlines()[0]
     blocks = [block.splitlines() for block in text.split("\n\n") if block.startswith("|")]
     assert [len(block) for block in blocks[1:]] == [len(PAPER_ROWS) + 3 + 2] * len(TRACKS)
     for block in blocks:
@@ -304,12 +282,11 @@ def test_json_holds_the_numbers_unrounded_with_the_notes(submissions: Path, tmp_
     assert any("their statistic" in note for note in written["notes"])
 
 
-def test_without_a_file_the_table_is_printed(submissions: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_table_is_printed_or_written_as_the_suffix_of_the_file_says(
+    submissions: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     run(submissions)
     assert capsys.readouterr().out == as_markdown(read_table(submissions))
-
-
-def test_the_suffix_of_the_file_says_what_is_written(submissions: Path, tmp_path: Path) -> None:
     for _ in range(2):  # a file is written again
         run(submissions, tmp_path / "new.md")
         run(submissions, tmp_path / "new.html")
@@ -317,7 +294,3 @@ def test_the_suffix_of_the_file_says_what_is_written(submissions: Path, tmp_path
     assert as_html(read_table(submissions)) == (tmp_path / "new.html").read_text("utf-8")
     with pytest.raises(InputError, match=r"ends in \.md, \.json or \.html"):
         run(submissions, tmp_path / "table1.csv")
-
-
-def test_the_tracks_are_those_of_the_protocol() -> None:
-    assert set(TRACKS) == set(read_protocol().tracks)

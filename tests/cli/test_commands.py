@@ -307,15 +307,6 @@ def test_an_interrupted_kit_ends_in_one_line(files: Path, tmp_path: Path) -> Non
     assert not (tmp_path / "out").exists()
 
 
-def test_a_closed_stdout_is_no_error(data: Path) -> None:
-    run = command("info", data)
-    assert run.stdout is not None
-    run.stdout.close()
-    assert run.wait(timeout=30) == 0
-    assert run.stderr is not None
-    assert run.stderr.read() == ""
-
-
 def test_the_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
     run = command("--version")
     assert run.communicate(timeout=30) == (f"kit1000 {kit1000.__version__}\n", "")
@@ -335,7 +326,7 @@ def test_help_names_every_command_and_option(line: list[str], capsys: pytest.Cap
     assert main(line) == 0
     out = capsys.readouterr().out
     assert "['None']" not in out
-    assert "--no-" not in out.replace("--no-preview", "").replace("--no-cache", "")
+    assert "--no-" not in out.replace("--no-preview", "")
     options = options_of(COMMANDS[line[0]]) if line[1:] else COMMANDS
     assert all(word in out for word in options)
 

@@ -59,17 +59,6 @@ def test_a_part_is_dragged_snapped_confirmed_and_checked(scene: EditedScene, min
     assert all(same_motion(rows.motions[row], true) for row in mine if row is not None)
 
 
-def test_a_slid_part_stands_on_the_plate_under_the_cursor(scene: EditedScene, tmp_path: Path) -> None:
-    table, part = desk(scene, tmp_path), scene.parts[0]
-    plate = scene.plates[0]
-    dragged(table, part, plate.point)
-    motion = table.controller.space.current[part].goal_from_now
-    assert abs(float(plate.height(motion.apply(scene.clouds[part])).min())) < 1e-9
-    up = motion.rotate((0.0, 0.0, 1.0))
-    assert np.degrees(np.arccos(min(1.0, float(up @ plate.normal)))) < 1e-4
-    assert not table.controller.space.session.edits[part].turned
-
-
 def test_one_gesture_is_one_operation_and_undone_bit_for_bit(scene: EditedScene, tmp_path: Path) -> None:
     table, part = desk(scene, tmp_path), scene.parts[0]
     controller, begin = table.controller, Session.begin(scene.parts)
@@ -250,20 +239,6 @@ def test_what_cannot_be_done_is_said(scene: EditedScene, tmp_path: Path) -> None
     assert "No further part" in table.stage.texts["note"]
     table.controller.select(part)
     assert table.stage.texts["note"] == ""
-
-
-def test_a_drag_tells_at_each_step_what_it_has_come_to(scene: EditedScene, tmp_path: Path) -> None:
-    table, part = desk(scene, tmp_path), scene.parts[0]
-    grabbed, point = scene.pivot(part), scene.plates[0].point
-    found(table, part, (Pose.from_translation(point - grabbed), 0.9))
-    table.controller.grab(part, EYE, EYE.screen(grabbed), grabbed)
-    assert "on the table" in table.stage.texts["fit"]
-    table.controller.drag(EYE.screen(point))
-    assert "90 % sure" in table.stage.texts["fit"]
-    assert table.stage.labels[f"/name/{part}"].endswith("90 % sure")
-    table.controller.drag(EYE.screen(grabbed))
-    table.controller.release()
-    assert "sure" not in table.stage.labels[f"/name/{part}"]
 
 
 def test_an_operation_that_cannot_be_written_is_not_done(

@@ -116,22 +116,3 @@ def test_anything_but_masks_is_refused() -> None:
         mean_iou(labels[:, 1:], labels)
     with pytest.raises(InputError, match="true: object 1 has no pixel"):
         mean_iou(stack, np.array([labels > 0, labels > 1]))
-
-
-def mean_of_the_release(predicted: np.ndarray, true: np.ndarray) -> float:
-    """Each object has the mask of largest overlap in pixels, even if another object has it too."""
-    overlaps = np.array([[np.count_nonzero(mask & object_mask) for mask in predicted] for object_mask in true])
-    return float(
-        np.mean([iou(predicted[k], object_mask) for k, object_mask in zip(overlaps.argmax(1), true, strict=True)])
-    )
-
-
-def test_one_mask_over_two_objects_counts_twice_by_the_release_but_once_here() -> None:
-    true = np.zeros((2, H, W), bool)
-    true[0, :, :3], true[1, :, 3:] = True, True
-    blob = np.array([true[0] | true[1]])
-    assert mean_of_the_release(blob, true) == 0.5
-    assert mean_iou(blob, true) == 0.25
-    with_the_right_ones = np.concatenate([blob, true])
-    assert mean_of_the_release(with_the_right_ones, true) == 0.5
-    assert mean_iou(with_the_right_ones, true) == 1

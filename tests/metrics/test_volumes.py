@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
-from scipy.spatial import KDTree
 
 from kit1000.errors import InputError, ShapeError
 from kit1000.mesh import Mesh, mesh_from_solid
@@ -167,34 +166,3 @@ def test_volumes_that_cannot_be_compared_are_refused() -> None:
         occupancy_iou(np.zeros((2, 2, 2)), np.zeros((2, 2, 2), bool))
     with pytest.raises(ShapeError, match=r"a: expected float64 of shape \(n, 3\), got shape \(2, 2, 2\)"):
         surface_chamfer(np.zeros((2, 2, 2)), np.zeros((1, 3)))
-
-
-# --- the formulas of the paper's release ---
-
-
-def iou_of_the_release(a: Volume, b: Volume) -> float:
-    """IoU of free space: of the voxels half a truncation distance or more outside."""
-    free, other = a.values >= 0.5, b.values >= 0.5
-    return np.count_nonzero(free & other) / np.count_nonzero(free | other)
-
-
-def chamfer_of_the_release(a: Volume, b: Volume, rng: np.random.Generator) -> float:
-    """[m] Of 10,000 occupied voxels each, interior ones too; L1 distances, both directions summed."""
-    left, right = (rng.permutation(np.argwhere(volume.occupied))[:10_000] * VOXEL for volume in (a, b))
-    return float(KDTree(right).query(left, p=1)[0].mean() + KDTree(left).query(right, p=1)[0].mean())
-
-
-def test_a_block_without_a_cavity_scores_as_a_kit_by_the_release_but_not_here() -> None:
-    on = grid(128, 2 * MM)
-    plate = box(100, 100, 50)
-    kit, solid = mesh_from_solid(plate - box(80, 80, 26, at=(0, 0, 25))).scaled(MM), mesh_from_solid(plate).scaled(MM)
-    true, guess = volume(kit, on), volume(solid, on)
-    assert iou_of_the_release(guess, true) > 0.99
-    assert occupancy_iou(guess, true) == pytest.approx(0.67, abs=0.02)
-    assert surface_chamfer(guess, true) == pytest.approx(3 * MM, rel=0.1)
-
-
-def test_a_shape_is_millimetres_from_itself_by_the_release_but_not_here() -> None:
-    true = volume(block(80, 80, 50), Grid.centred(ORIGIN, (100, 100, 64), VOXEL))
-    assert chamfer_of_the_release(true, true, np.random.default_rng(0)) == pytest.approx(4.9 * MM, abs=0.2 * MM)
-    assert surface_chamfer(true, true) == 0

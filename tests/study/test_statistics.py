@@ -14,7 +14,6 @@ from kit1000.errors import InputError
 from kit1000.study.statistics import (
     bca_interval,
     compare,
-    crossover,
     holm,
     p_value,
     rank_biserial,
@@ -35,13 +34,6 @@ def test_a_planted_effect_is_found_and_a_null_is_not() -> None:
     """d_z = 1 and n = 10 have a power of 80.3 %; 60 studies have standard errors of 5.1 and 2.8 points."""
     assert 0.80 - 0.15 < share_found(60, 10, 1.0, 1) < 0.80 + 0.15
     assert share_found(60, 10, 0.0, 2) < 0.05 + 0.084
-
-
-@pytest.mark.slow
-def test_power_and_level_are_nominal() -> None:
-    """1000 studies of ten people each, twice."""
-    assert 0.75 < share_found(1000, 10, 1.0, 3) < 0.85
-    assert 0.04 < share_found(2000, 10, 0.0, 4) < 0.06
 
 
 def test_t_and_d_z_of_a_hand_worked_example() -> None:
@@ -111,23 +103,6 @@ def test_holm_keeps_the_order_and_lies_between_p_and_bonferroni(values: list[flo
     for p, q in zip(values, adjusted, strict=True):
         assert p <= q <= min(1.0, len(values) * p) + 1e-12
     assert [q for _, q in sorted(zip(values, adjusted, strict=True))] == sorted(adjusted)
-
-
-def test_carry_over_and_period_are_told_apart() -> None:
-    """What is put in comes out: a period adds to whatever comes second, a carry-over to one group."""
-    rng = np.random.default_rng(5)
-    early = np.arange(40) % 2 == 0
-    person = rng.normal(0, 1, 40)
-    first, second = person + 3 + rng.normal(0, 0.1, 40), person + rng.normal(0, 0.1, 40)
-    period = crossover(first + np.where(early, 0, 2), second + np.where(early, 2, 0), list(early))
-    assert period is not None
-    assert period.period == pytest.approx(2, abs=0.1)
-    assert period.period_p < 1e-6 < 0.01 < period.carry_over_p
-    carried = crossover(first, second + np.where(early, 6, 0), list(early))
-    assert carried is not None
-    assert carried.carry_over_p < 1e-6
-    assert carried.carry_over == pytest.approx(6, abs=1.5)
-    assert crossover([1, 2, 3], [1, 2, 3], [True, True, False]) is None
 
 
 @pytest.mark.parametrize("values", [[1.0, 2.0], [1.0, np.nan, 2.0], [[1.0, 2.0, 3.0]], ["a", "b", "c"]])
