@@ -132,12 +132,13 @@ def _matches(actual: tuple[int, ...], shape: Shape) -> bool:
     if shape and shape[0] is Ellipsis:
         trailing = shape[1:]
         actual = actual[max(len(actual) - len(trailing), 0) :]
-    if len(actual) != len(trailing):
-        return False
     named: dict[str, int] = {}
-    return all(
-        named.setdefault(expected, size) == size if isinstance(expected, str) else expected == size
-        for expected, size in zip(trailing, actual, strict=True)
+    return actual == trailing or (
+        len(actual) == len(trailing)
+        and all(
+            named.setdefault(expected, size) == size if isinstance(expected, str) else expected == size
+            for expected, size in zip(trailing, actual, strict=True)
+        )
     )
 
 
