@@ -6,6 +6,7 @@ import atexit
 import fcntl
 import itertools
 import os
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from kit1000.export import own_part
 from kit1000.generation import parts_and_kits, scene_files
 from kit1000.generation.build import generate
 from kit1000.generation.presets import PRESETS
+from kit1000.generation.withhold import publish
 from kit1000.kits.kit import KitDesign, Plate
 from kit1000.kits.kit_trials import Attempt, PairCheck, accepted_kit, attempts
 from kit1000.pictures import lighting, shading
@@ -180,6 +182,14 @@ def withheld(tmp_path_factory: pytest.TempPathFactory) -> Published:
         fcntl.flock(lock, fcntl.LOCK_EX)
         patch.setitem(PRESETS, "hidden", HIDDEN)
         return publish_by_command(shared / "withheld", "--seed", str(HIDDEN_SEED))
+
+
+@pytest.fixture(scope="session")
+def public(mini: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The public part of a copy of the generated dataset, its test split withheld."""
+    folder = tmp_path_factory.mktemp("published")
+    publish(shutil.copytree(mini, folder / "whole"), folder / "open")
+    return folder / "open"
 
 
 @pytest.fixture

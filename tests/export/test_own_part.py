@@ -1,9 +1,13 @@
-"""Tests of kits for own parts: the files agree with each other and with the report, which is written last."""
+"""Tests of kits for own parts: the files agree with each other and with the report, which is written last.
+
+Nobody's file is ever overwritten or deleted: the folder of a kit is new, or of an earlier run.
+"""
 
 from __future__ import annotations
 
 import json
 import os
+import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +19,7 @@ import trimesh
 from manifold3d import Manifold, OpType
 from PIL import Image
 
+from kit1000.cli import main
 from kit1000.cli.summaries import kit_report_text
 from kit1000.dataset.mesh_files import read_glb
 from kit1000.errors import InputError
@@ -380,6 +385,65 @@ def test_written_meshes_stay_closed_where_rounding_would_open_them(width: float,
     assert defect_float32(read_glb(tmp_path / "seated.glb")["part"]) is None
     assert back.volume == pytest.approx(cut.volume() * 1e9, rel=1e-5)
     assert np.abs(back.bounds - seated.bounds * 1e3).max() < 0.02
+
+
+def test_the_part_itself_is_never_replaced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    part = write_stl(tmp_path / "part.stl", l_shape())
+    before = part.read_bytes()
+    monkeypatch.chdir(tmp_path)
+    for out in (".", str(tmp_path), "../" + tmp_path.name):
+        assert main(["kit", "part.stl", "--out", out]) == 2
+        assert "part.stl: is not of an earlier run" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["part.stl"]
+    assert part.read_bytes() == before
+
+
+@pytest.mark.parametrize("name", [*FILES, "notes.txt", "01/kit.stl"])
+@pytest.mark.parametrize("beside_a_kit", [False, True])
+def test_a_file_of_another_origin_stays(
+    name: str, beside_a_kit: bool, out: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "out"
+    if beside_a_kit:
+        shutil.copytree(out, folder)
+    (folder / name).parent.mkdir(parents=True, exist_ok=True)
+    (folder / name).write_text('{"mine": 1}')
+    before = file_hashes(folder)
+    assert main(["kit", str(out.parent / "corner.stl"), "--out", str(folder)]) == 2
+    said = capsys.readouterr().err
+    assert "is not of an earlier run of this command: it stays; choose another --out" in said
+    assert said.count("\n") == 1
+    assert file_hashes(folder) == before
+
+
+def test_a_report_that_was_changed_is_not_of_a_run(out: Path, tmp_path: Path) -> None:
+    shutil.copytree(out, tmp_path / "out")
+    path = tmp_path / "out/report.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"note": "mine"}))
+    assert main(["kit", str(out.parent / "corner.stl"), "--out", str(tmp_path / "out")]) == 2
+
+
+def test_the_folder_of_an_earlier_run_is_written_again(out: Path, tmp_path: Path) -> None:
+    folder, part = shutil.copytree(out, tmp_path / "out"), out.parent / "corner.stl"
+    (folder / ".DS_Store").write_text("of the system")
+    report = make_kit_from_file(part, folder, KitOptions(2e-3))
+    assert json.loads((folder / "report.json").read_bytes()) == report
+    assert sorted(file_hashes(folder)) == sorted([*FILES, ".DS_Store"])
+    make_kit_from_file(part, folder, KitOptions(preview=False))
+    assert not (folder / "preview.png").exists()  # that of the earlier run would show another kit
+
+
+@pytest.mark.parametrize("bodies", [None, "each"])
+def test_reports_of_several_kits_replace_their_own_alone(bodies, out: Path, tmp_path: Path) -> None:
+    files = [out.parent / "corner.stl"] * (1 if bodies else 2)
+    for _ in range(2):
+        list(make_kits(files, tmp_path, KitOptions(bodies=bodies), 1))
+    (tmp_path / "report.json").write_text('{"mine": 1}')
+    with pytest.raises(InputError, match=r"report\.json: is not of an earlier run"):
+        list(make_kits(files, tmp_path, KitOptions(bodies=bodies), 1))
+    assert (tmp_path / "report.json").read_text() == '{"mine": 1}'
 
 
 @pytest.mark.slow

@@ -15,7 +15,6 @@ from kit1000.cli import main
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.errors import InputError
 from kit1000.export.recording import error_colours, write_scene_recording
-from kit1000.generation.withhold import publish
 from kit1000.mesh import even_points, mesh_from_solid
 from kit1000.pose import Pose
 from kit1000.submission import Predictions, write_predictions
@@ -103,14 +102,6 @@ def test_all_messages_have_the_time_of_the_scene(mini: Path, tmp_path: Path) -> 
     for value in messages(path).values():
         stamps = [getattr(item, "timestamp", None) for item in (value, *getattr(value, "transforms", ()))]
         assert {stamp.seconds for stamp in stamps if stamp is not None} <= {time // 10**9}
-
-
-@pytest.fixture(scope="module")
-def public(mini: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The public part of a copy of the dataset."""
-    folder = tmp_path_factory.mktemp("published")
-    publish(shutil.copytree(mini, folder / "whole"), folder / "open")
-    return folder / "open"
 
 
 def test_without_truth_only_observations_are_read(public: Path, plain: Path, tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,7 +14,6 @@ from kit1000.camera import Camera
 from kit1000.dataset.geometry import Geometry
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.errors import InputError
-from kit1000.generation.withhold import publish
 from kit1000.pictures import dataset_sheets as sheets
 from kit1000.pictures.dataset_sheets import geometry_sheet, scene_sheet
 from kit1000.pictures.depth_images import depth_picture
@@ -30,14 +28,6 @@ def _small_pictures() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sheets, "SCENE_TILE", (WIDTH, HEIGHT))
         yield
-
-
-@pytest.fixture(scope="module")
-def opened(mini: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The same dataset with the ground truth of its test split withheld."""
-    folder = tmp_path_factory.mktemp("published")
-    publish(shutil.copytree(mini, folder / "whole"), folder / "open")
-    return folder / "open"
 
 
 def pixels(png: bytes) -> np.ndarray:
@@ -73,8 +63,8 @@ def test_a_scene_with_ground_truth_has_six_pictures(whole_sheet: np.ndarray) -> 
         assert all(np.abs(picture - other).mean() > 0.05 for other in pictures[:i])
 
 
-def test_a_scene_without_ground_truth_has_three_pictures(opened: Path, whole_sheet: np.ndarray) -> None:
-    image = pixels(scene_sheet(Dataset(opened), "test-s0000"))
+def test_a_scene_without_ground_truth_has_three_pictures(public: Path, whole_sheet: np.ndarray) -> None:
+    image = pixels(scene_sheet(Dataset(public), "test-s0000"))
     assert rows_of(image) == 1
     for i in range(3):
         assert np.array_equal(tile(image, i), tile(whole_sheet, i))
@@ -85,9 +75,9 @@ def grey_picture(_: object, camera: Camera, __: object) -> np.ndarray:
     return np.full((camera.height, camera.width, 3), 90, np.uint8)
 
 
-def test_training_scenes_of_an_open_folder_have_ground_truth(opened: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_training_scenes_of_an_open_folder_have_ground_truth(public: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sheets, "shaded_picture", grey_picture)
-    assert rows_of(pixels(scene_sheet(Dataset(opened), "train-s0000"))) == 2
+    assert rows_of(pixels(scene_sheet(Dataset(public), "train-s0000"))) == 2
 
 
 def test_without_the_d415_its_picture_is_omitted(
