@@ -32,7 +32,7 @@ from kit1000.values import Query
 WEIGHTS = Path(__file__).parent / "ranking.json"
 """The bias and the weight of each feature, by kind of image; see `weights_of`."""
 SCORE_DECIMALS = 9  # fits whose scores differ by less are equal
-SAME_PLACE = 0.4e-3  # [m] mean distance between two places of a part's surface, below which they are the same
+SAME_PLACE = 0.6e-3  # [m] mean distance between two places of a part's surface, below which they are the same
 CONFIDENCE_DECIMALS = 9  # the last digits of an exponential depend on the processor
 MOST_FITS = 6  # best fits of each image
 ARM = 20e-3  # [m] lever of a rotation in the difference of two motions: half of a typical part
@@ -40,7 +40,7 @@ NEAR = 8e-3  # [m] largest difference between fits of the same pose
 DISAGREEMENT = 0.6e3  # [1/m] of score, by which the fits differ from their mean
 CERTAIN = 4.0  # a fit has the weight 1 / (CERTAIN - score) in the mean
 LEAST_UNCERTAINTY = 1.0  # least value of that difference
-COMPANY = 3.0  # of score that comes if e times as many images have a fit near
+COMPANY = 4.0  # of score that comes if e times as many images have a fit near
 SAME_PART = 25e-3  # [m] level distance between what two images show of the same part: half of a typical part, and more
 
 

@@ -88,7 +88,7 @@ def test_no_feature_speaks_for_a_fit(kind: ImageKind, features: Features) -> Non
     before = score_of(features, kind.name)
     worse = [features._replace(**{name: value + 1}) for name, value in features._asdict().items() if value is not None]
     assert all(score_of(each, kind.name) <= before for each in worse)
-    assert score_of(features._replace(filled=features.filled + 1), kind.name) < before - 1
+    assert score_of(features._replace(filled=features.filled + 1), kind.name) < before
 
 
 def at(known: Case, shift: float = 0.0, angle: float = 0.0, score: float = 0.0) -> Fit:
