@@ -3,7 +3,7 @@
     python bench/quality/ranking.py data/kit1000 --workers 8 --out results/ranking.json
 
 The weights of each kind of image maximise the likelihood of the outcomes of queries of split train, see
-`kit1000.registration.rank`. They replace kit1000/registration/ranking.json. Without a feature, the other weights are
+`kit1000.registration.rank`. They replace kit1000/registration/rank.json. Without a feature, the other weights are
 fitted again and choose among the same fits of split val. A feature wins a query that is seated only with it, and loses
 one that is seated only without it; p is that of McNemar's exact test.
 """

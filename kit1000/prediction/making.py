@@ -138,8 +138,9 @@ def _about(stem: Path, run: Path) -> dict[str, Any]:
 def source_hash(method: Method) -> str:
     """SHA-256 in hex of what a method's predictions depend on: its module, all that it imports of KIT1000, its weights.
 
-    For your own module, all that it imports from the same package or folder counts too. The hash tells rows of one code
-    from rows of another, also in a checkout with changes and for code that is in no checkout: a commit could not.
+    A JSON file beside a module, with the module's name, counts too: it holds numbers of the module. So does, for your
+    own module, all that it imports from the same package or folder. The hash tells rows of one code from rows of
+    another, also in a checkout with changes and for code that is in no checkout: a commit could not.
     """
     entries = [module_and_object(method.make)[0]]
     folder = _source_folder(entries[0])
@@ -155,6 +156,7 @@ def source_hash(method: Method) -> str:
         entries.append(OnPredictedMasks.__module__)
         stems |= {name: WEIGHTS / name for name in MASKS_WEIGHTS}
     files = imported_modules(entries, roots)
+    files |= {f"{name}.json": data for name, path in files.items() if (data := path.with_suffix(".json")).is_file()}
     files |= {name: stem.with_name(f"{stem.name}.safetensors") for name, stem in stems.items()}
     return hash_of(files)
 

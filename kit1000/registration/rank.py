@@ -29,7 +29,7 @@ from kit1000.registration.part_volume import PartShape
 from kit1000.registration.search import Candidate
 from kit1000.values import Query
 
-WEIGHTS = Path(__file__).parent / "ranking.json"
+WEIGHTS = Path(__file__).with_suffix(".json")
 """The bias and the weight of each feature, by kind of image; see `weights_of`."""
 SCORE_DECIMALS = 9  # fits whose scores differ by less are equal
 SAME_PLACE = 0.6e-3  # [m] mean distance between two places of a part's surface, below which they are the same
