@@ -5,8 +5,9 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict
 from pathlib import Path
+
+import msgspec
 
 from kit1000.files import json_bytes, write_bytes
 from kit1000.study.analysis import Analysis, Mean, Row, analyse
@@ -24,7 +25,7 @@ def write_report(study: Path) -> Path:
     analysis = analyse(plan, participants)
     folder = study / PEOPLE
     write_bytes(folder / TRIALS_FILE, trials_csv(participants).encode())
-    write_bytes(folder / ANALYSIS_FILE, json_bytes(_with_text_keys(asdict(analysis))))
+    write_bytes(folder / ANALYSIS_FILE, json_bytes(msgspec.to_builtins(analysis, str_keys=True)))
     write_bytes(folder / TABLE_FILE, table(analysis).encode())
     return folder / TABLE_FILE
 
@@ -79,10 +80,3 @@ def _line(row: Row, conditions: Sequence[str]) -> str:
 def _mean_text(mean: Mean) -> str:
     spread = "" if mean.sd is None else f" ± {mean.sd:.1f}"
     return "–" if mean.mean is None else f"{mean.mean:.1f}{spread}"
-
-
-def _with_text_keys(value: object) -> object:
-    """The value with all keys as texts, as JSON has them."""
-    if isinstance(value, dict):
-        return {str(key): _with_text_keys(each) for key, each in value.items()}
-    return [_with_text_keys(each) for each in value] if isinstance(value, list | tuple) else value

@@ -10,19 +10,21 @@ import contextlib
 import platform
 import queue
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
+
+import numpy as np
 
 from kit1000.dataset.json_rows import pose_of, pose_row
 from kit1000.dataset.reader import Dataset
 from kit1000.editor.controller import Controller
 from kit1000.editor.records import EventLog
 from kit1000.editor.serve import NO_SNAP, Options, editing, serving
-from kit1000.planner.execute import SEATED
+from kit1000.metrics import Targets, pose_errors, seatings
+from kit1000.planner.execute import SEATED, PartRun, robot_at
 from kit1000.pose import Pose
 from kit1000.study.clock import TaskClock
-from kit1000.study.execution import DECIMALS, Execute, by_robot, measured
 from kit1000.study.pages import TaskPanel, ask_consent, ask_preference, ask_ratings, say_goodbye
 from kit1000.study.plan import Session
 from kit1000.study.questionnaire import CONSENT_VERSION
@@ -42,11 +44,16 @@ from kit1000.study.records import (
     TrialRecord,
 )
 from kit1000.study.tasks import part_truths
+from kit1000.values import Truth
 from kit1000.version import __version__
 
 PRACTICE = 0
 FINISH, UPLOAD = "finish", "upload"
+NOT_UPLOADED = "not uploaded"
 TICK_S = 1.0  # [s] between two looks at the clock
+DECIMALS = 3  # of mm, degrees and seconds in records
+Execute = Callable[[Mapping[int, Pose]], Sequence[PartRun]]
+"""Executes the motions, goal_from_now, of parts that it has not moved before."""
 
 
 @dataclass(frozen=True)
@@ -146,9 +153,10 @@ class TaskPage:
         )
         earlier = EventLog(options.out, options.header(dataset.id)).rows
         with (
-            by_robot(scene, plan.sensor, plan.seed) as execute,
+            robot_at(scene, plan.sensor, plan.seed) as robot,
             editing(options, self.seen) as (controller, _),
         ):
+            execute: Execute = lambda motions: robot.run(motions).parts  # noqa: E731
             self.resume(earlier, execute)
             server: Any = controller.stage.server  # type: ignore[attr-defined]
             panel = TaskPanel(server, self._title(), condition.one_part_an_upload, self.requests.put)
@@ -202,10 +210,10 @@ class TaskPage:
         self.clock.start()
 
     def _execute(self, execute: Execute, motions: dict[int, Pose]) -> None:
-        executed = execute(motions)
-        self.clock.executed(sum(each.seconds for each in executed.values()))
+        runs = execute(motions)
+        self.clock.executed(sum(run.seconds for run in runs))
         self.motions |= motions
-        self.outcomes |= {part: each.outcome for part, each in executed.items()}
+        self.outcomes |= {run.part: run.outcome for run in runs}
         self.uploads += 1
 
     def resume(self, rows: Sequence[Mapping[str, Any]], execute: Execute) -> None:
@@ -256,3 +264,21 @@ class TaskPage:
             out_of_time=len(self.motions) < len(parts) and not self.clock.may_upload(),
             **self._reading(),
         )
+
+
+def measured(
+    dataset: Dataset, truths: Mapping[int, Truth], motions: Mapping[int, Pose], outcomes: Mapping[int, str]
+) -> dict[int, PartResult]:
+    """The errors of motions by part; a part without a motion was not uploaded."""
+    parts = sorted(motions)
+    found = {part: PartResult(part, NOT_UPLOADED, False, None, None) for part in sorted(truths)}
+    if not parts:
+        return found
+    stacked, own = Pose.stack([motions[part] for part in parts]), [truths[part] for part in parts]
+    errors = pose_errors(stacked, Targets.of(own, lambda part_id: dataset.geometry.part(part_id).mesh.vertices))
+    seated = seatings(stacked, own, dataset.geometry).seated
+    for i, part in enumerate(parts):
+        position, angle = 1e3 * float(errors.position[i]), float(np.degrees(errors.rotation[i]))
+        rounded = round(position, DECIMALS), round(angle, DECIMALS)
+        found[part] = PartResult(part, outcomes[part], bool(seated[i]), *rounded)
+    return found

@@ -63,18 +63,8 @@ def compare(differences: ArrayLike, seed: int = 0) -> Comparison:
         t_p,
         wilcoxon_p,
         normality_p,
-        _chosen_test(values, normality_p),
+        "t" if _varies(values) and normality_p >= ALPHA else "Wilcoxon",
     )
-
-
-def p_value(differences: ArrayLike, seed: int = 0) -> float:
-    """The p value that `compare` reports, without its intervals."""
-    values = _values(differences)
-    return t_test(values) if _chosen_test(values, normality(values)) == "t" else wilcoxon_test(values, seed)
-
-
-def _chosen_test(values: np.ndarray, normality_p: float) -> str:
-    return "t" if _varies(values) and normality_p >= ALPHA else "Wilcoxon"
 
 
 def t_test(values: np.ndarray) -> float:

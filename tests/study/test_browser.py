@@ -6,6 +6,7 @@ import contextlib
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -14,8 +15,8 @@ from playwright.sync_api import Browser, Page
 from kit1000.dataset.reader import Dataset
 from kit1000.editor.controller import Controller
 from kit1000.editor.hand import PLACE
+from kit1000.planner.execute import PartRun
 from kit1000.study import sitting
-from kit1000.study.execution import Executed, measured
 from kit1000.study.plan import StudyPlan, write_plan
 from kit1000.study.questionnaire import SCALES
 from kit1000.study.records import ParticipantFiles, read_participants
@@ -51,14 +52,16 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[Controller]:
             yield controller, address
 
     def execution(scene: Any, sensor: str, seed: int) -> Any:
-        def execute(motions: Any) -> dict[int, Executed]:
-            found = measured(scene.split.dataset, part_truths(scene, sensor), motions)
-            return {i: Executed("seated" if found[i].seated_by_test else "not seated", 23.0) for i in motions}
+        def run(motions: Any) -> SimpleNamespace:
+            truths, unknown = part_truths(scene, sensor), dict.fromkeys(motions, "")
+            found = sitting.measured(scene.split.dataset, truths, motions, unknown)
+            outcomes = {i: "seated" if found[i].seated_by_test else "not seated" for i in motions}
+            return SimpleNamespace(parts=[PartRun(i, outcome, "", 23.0) for i, outcome in outcomes.items()])
 
-        return contextlib.nullcontext(execute)
+        return contextlib.nullcontext(SimpleNamespace(run=run))
 
     monkeypatch.setattr(sitting, "editing", watched)
-    monkeypatch.setattr(sitting, "by_robot", execution)
+    monkeypatch.setattr(sitting, "robot_at", execution)
     return controllers
 
 

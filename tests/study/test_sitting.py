@@ -17,9 +17,9 @@ pytest.importorskip("viser")
 from kit1000.cli import main
 from kit1000.dataset.json_rows import pose_row
 from kit1000.dataset.reader import Dataset
+from kit1000.planner.execute import PartRun
 from kit1000.pose import Pose
 from kit1000.study import sitting
-from kit1000.study.execution import Executed
 from kit1000.study.pages import TaskPanel
 from kit1000.study.plan import write_plan
 from kit1000.study.records import PRACTICE_FILE, ParticipantFiles, PartResult
@@ -36,9 +36,9 @@ class Robot:
     def __init__(self) -> None:
         self.uploads: list[dict[int, Pose]] = []
 
-    def __call__(self, motions: Mapping[int, Pose]) -> dict[int, Executed]:
+    def __call__(self, motions: Mapping[int, Pose]) -> list[PartRun]:
         self.uploads.append(dict(motions))
-        return {part: Executed("seated", 10.0) for part in motions}
+        return [PartRun(part, "seated", "", 10.0) for part in motions]
 
 
 def page_of(tmp_path: Path, condition: int = 0, index: int = 1) -> TaskPage:
@@ -94,7 +94,7 @@ def test_while_the_robot_works_clock_and_hand_stand_still(mini: Path, tmp_path: 
     before = controller.space.session
 
     class BusyRobot(Robot):
-        def __call__(self, motions: Mapping[int, Pose]) -> dict[int, Executed]:
+        def __call__(self, motions: Mapping[int, Pose]) -> list[PartRun]:
             controller.place(part, MOTION)
             dragged(table, part, np.zeros(3))
             for verb in ("undo", "reset-all", "turn-left"):
