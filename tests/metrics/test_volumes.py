@@ -18,7 +18,7 @@ from tests.samples.shapes import box
 from tests.samples.strategies import poses
 
 MM = 1e-3
-VOXEL = 0.89e-3  # [m] that of the paper
+
 ORIGIN = Pose.identity()
 
 

@@ -10,8 +10,6 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from kit1000.planner.motion import (
-    LINE_ACCELERATION,
-    LINE_SPEED,
     LINE_STEP,
     MOVE_ACCELERATION,
     MOVE_SPACING,
@@ -54,10 +52,6 @@ def test_a_trapezoid_is_the_same_backwards(distance: float, speed: float) -> Non
     at = np.linspace(0, distance, 51)
     t = arrival_times(at, distance, speed, 0.3)
     assert t[-1] - t[::-1] == pytest.approx(arrival_times(distance - at[::-1], distance, speed, 0.3), abs=1e-9)
-
-
-def test_a_line_of_100_mm_at_the_paper_s_speed_takes_two_seconds() -> None:
-    assert arrival_times(np.array([0.1]), 0.1, LINE_SPEED, LINE_ACCELERATION)[0] == pytest.approx(2.0)
 
 
 def test_a_line_is_straight_and_keeps_its_orientation_and_its_branch() -> None:

@@ -23,7 +23,6 @@ from kit1000.queries.guesses import (
     MAX_ANGLE,
     MAX_OFFSET,
     draw_ball_error,
-    draw_direction,
     draw_goal,
     draw_tilt_error,
     level_angle,
@@ -215,13 +214,6 @@ def test_levels_are_evenly_spaced_from_zero_to_the_maximum() -> None:
     for level in (-1, LEVELS):
         with pytest.raises(InputError, match="level: expected 0 to 7"):
             level_offset(level)
-
-
-def test_directions_are_uniform_on_the_sphere() -> None:
-    rng = np.random.default_rng(8)
-    drawn = np.array([draw_direction(rng) for _ in range(DRAWS)])
-    assert np.allclose(np.linalg.norm(drawn, axis=1), 1)
-    assert all(is_uniform(column, -1, 1) for column in drawn.T)
 
 
 def test_the_row_of_a_draw_is_plain_json() -> None:
