@@ -43,7 +43,7 @@ class Network:
     """A network that `python -m baselines train` can train."""
 
     make_task: str
-    """`module:function`, called with dataset, preset, options: returns the training task and the network's config."""
+    """`module:function`, called with dataset, preset, options: returns the training task, whose model has a config."""
     training: Mapping[str, TrainConfig]
     """How it is trained, by preset."""
     options: Mapping[str, Any] = field(default_factory=dict)

@@ -7,6 +7,7 @@ stream named by the seed, the control and the query.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -28,45 +29,37 @@ NOISE = 2e-3  # [m] from the goal, of truth-noise at the anchor
 NOISE_ANGLE = float(np.radians(2))
 D415_TRACKS = tuple(name for name, track in TRACKS.items() if track.sensor == "d415")
 
+TRUE = partial(Method, uses_true_geometry=True, control=True)
+
 METHODS = {
-    "truth": Method(
+    "truth": TRUE(
         "baselines.controls:TrueGoal",
         "the goal itself: every error is 0",
         label="Ground truth",
-        uses_true_geometry=True,
-        control=True,
     ),
-    "truth-symmetric": Method(
+    "truth-symmetric": TRUE(
         "baselines.controls:SymmetricGoal",
         "any of the symmetric goals, rotated about the free axis by any angle: every error is 0",
         label="Ground truth at any symmetric goal",
-        uses_true_geometry=True,
-        control=True,
     ),
-    "truth-noise": Method(
+    "truth-noise": TRUE(
         "baselines.controls:NoisyGoal",
         "the goal, missed by exactly 2 mm and 2 degrees",
         label="Ground truth with 2 mm and 2° error",
-        uses_true_geometry=True,
-        control=True,
     ),
-    "truth-calibration": Method(
+    "truth-calibration": TRUE(
         "baselines.controls:SeenGoal",
         "the goal as the recorded camera pose and depth scale show it: the error of the calibration alone",
         options={"by_table": False},
         label="Ground truth through the recorded calibration",
         tracks=D415_TRACKS,
-        uses_true_geometry=True,
-        control=True,
     ),
-    "truth-table": Method(
+    "truth-table": TRUE(
         "baselines.controls:SeenGoal",
         "the same after calibration by the table: its plane, its outline and the band that one imager does not see",
         options={"by_table": True},
         label="Ground truth through calibration by the table",
         tracks=D415_TRACKS,
-        uses_true_geometry=True,
-        control=True,
     ),
     "guess": Method(
         "baselines.controls:guess",

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from baselines.heights.shell import closed_shell
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.perception.observed.pixels import observed_points
@@ -31,7 +32,6 @@ REACHES = (20e-3, 10e-3, 5e-3)  # [m] largest distance between partners: from th
 STEPS = 60  # most, at each reach; few runs take as many
 MOST_POINTS = 4000  # of the observed part; its shell has about twice as many
 MOST_KITS = 8000  # points of the kits that are fitted to
-WALL_STEP = 2e-3  # [m] between points of a wall, from top to bottom
 NEIGHBOURS = 20  # points that a normal is fitted to
 FACING = 0.5  # cosine between the normals of part and plate below which a point of the part faces the kits
 FEWEST = 50  # points of the kits; with fewer near the guess there is nothing to fit to
@@ -88,12 +88,7 @@ def shell_of(query: Query) -> np.ndarray:
     The walls hang from the outline of the part in the image, where the observed surface ends.
     """
     mask = query.part_mask
-    surface, outline = observed_points(query, mask, MOST_POINTS), observed_points(query, mask & ~_inner(mask))
-    floor = surface * (1.0, 1.0, 0.0)
-    heights = np.arange(WALL_STEP, surface[:, 2].max(initial=0.0), WALL_STEP)
-    walls = np.repeat(outline[:, None], len(heights), axis=1)  # (outline, heights, 3)
-    walls[..., 2] = heights
-    return np.concatenate([surface, floor, walls[heights < outline[:, None, 2]]])
+    return closed_shell(observed_points(query, mask, MOST_POINTS), observed_points(query, mask & ~_inner(mask)))
 
 
 def _inner(mask: np.ndarray) -> np.ndarray:

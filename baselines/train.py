@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from baselines.training.config import TrainConfig
 from baselines.training.loop import TrainingResult, train
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError, did_you_mean
+from kit1000.perception.networks.unet import UNet
 from kit1000.perception.networks.weight_files import load_into, load_weights
 from kit1000.predictor import resolved
 
@@ -44,23 +44,12 @@ def train_network(
     training = TrainConfig(**{**asdict(network.training[preset]), **changes})
     dataset = Dataset(data)
     torch.manual_seed(training.seed)  # of the initial weights
-    task, config = resolved(network.make_task)(dataset, preset, **network.options, **weight_paths(network.weights))
-    about = {"name": name, "preset": preset, "network": asdict(config), "dataset_id": dataset.id}
+    task = resolved(network.make_task)(dataset, preset, **network.options, **weight_paths(network.weights))
+    if isinstance(task.model, UNet):
+        task.model.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
+    about = {"name": name, "preset": preset, "network": asdict(task.model.config), "dataset_id": dataset.id}
+    about["data_version"] = dataset.summary.get("data_version")
     if start is not None:
         tensors, about["start"] = load_weights(start.with_suffix(""))
-        load_into(task.model, with_new_inputs(tensors, task.model), start)
+        load_into(task.model, tensors, start)
     return train(task, training, out, about)
-
-
-def with_new_inputs(tensors: Mapping[str, torch.Tensor], model: torch.nn.Module) -> dict[str, torch.Tensor]:
-    """The tensors of a network with weights 0 for inputs that it lacks: those of `model` come last in its layers."""
-    own = model.state_dict()
-    grown = dict(tensors)
-    for name, value in tensors.items():
-        target = own.get(name)
-        if target is None or value.ndim < 2 or value.shape[:1] + value.shape[2:] != target.shape[:1] + target.shape[2:]:
-            continue
-        if value.shape[1] < target.shape[1]:
-            grown[name] = torch.zeros(target.shape, dtype=value.dtype)
-            grown[name][:, : value.shape[1]] = value
-    return grown

@@ -6,19 +6,17 @@ training scenes are rendered, which needs their truth, and kept in a folder besi
 
 from __future__ import annotations
 
-import io
-import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+from joblib import Memory
 from scipy.ndimage import distance_transform_edt
 
 from baselines.heights.maps import UNSEEN, HeightMap
 from kit1000.dataset.reader import Dataset, RecordedScene
-from kit1000.files import write_bytes
 from kit1000.numerics.compiled import compiled
 from kit1000.perception.observed.pixels import pixel_points, transformed
 from kit1000.values import FIRST_PART_LABEL, LabelledDepth, Query, View
@@ -28,7 +26,6 @@ CORNER, CELLS = np.array([-0.21, -0.42]), (420, 840)  # of the map of the table
 KITS = 420  # rows from here on are the half of the table where kits stand
 PART_CELLS = (100, 100)  # of a part's map, about its pivot: no part is longer than 50 mm
 LOWEST = 1e-3  # [m] above the table: what is lower is the table
-UNIT = 1e-5  # [m] of a stored height
 CAMERAS = 3
 SCENES, RECENT = 1200, 4  # kept in memory, of 0.8 and 1.4 MB each
 
@@ -79,15 +76,15 @@ class RenderedHeights:
         return RenderedHeights, (self.dataset, self.folder)
 
     def _of(self, scene_id: str) -> SceneHeights:
-        path = self.folder / f"{self.dataset.id}-{scene_id}.npz"
-        if path.is_file():
-            return _decoded(path.read_bytes())
-        scene = self.dataset.recorded_scene(scene_id, truth=True)
-        pivots = {query.part: query.pivot for query in scene.queries if query.sensor == "ideal"}
-        heights = _scene_heights(_table(scene.render("three").values()), scene.labelled_depth("ideal"), pivots)
-        os.makedirs(self.folder, exist_ok=True)
-        write_bytes(path, _encoded(heights))
-        return heights
+        kept = Memory(self.folder, compress=True, verbose=0).cache(_rendered_heights, ignore=["dataset"])
+        return kept(self.dataset, self.dataset.id, scene_id)  # pyright: ignore[reportReturnType]
+
+
+def _rendered_heights(dataset: Dataset, dataset_id: str, scene_id: str) -> SceneHeights:
+    """The maps of a scene; `dataset_id` tells datasets of one folder apart."""
+    scene = dataset.recorded_scene(scene_id, truth=True)
+    pivots = {query.part: query.pivot for query in scene.queries if query.sensor == "ideal"}
+    return _scene_heights(_table(scene.render("three").values()), scene.labelled_depth("ideal"), pivots)
 
 
 def three_views(scene: RecordedScene) -> list[View]:
@@ -165,37 +162,3 @@ def _part_map(table: np.ndarray, labels: np.ndarray, part: int, pivot: np.ndarra
     nearest = np.asarray(distance_transform_edt(labels == 0, return_distances=False, return_indices=True))
     own = (labels[tuple(nearest)] == FIRST_PART_LABEL + part) & (there > LOWEST)
     return HeightMap(CORNER + first * CELL, CELL, np.where(own, there, UNSEEN))
-
-
-def _encoded(heights: SceneHeights) -> bytes:
-    """As a compressed file of numpy; heights in whole UNITs, 0 for unseen."""
-    parts = sorted(heights.parts)
-    maps = np.array([_units(heights.parts[i].heights) for i in parts]).reshape(-1, *PART_CELLS)
-    corners = np.array([heights.parts[i].corner for i in parts]).reshape(-1, 2)
-    file = io.BytesIO()
-    np.savez_compressed(
-        file,
-        kits=_units(heights.kits.heights),
-        middle=heights.middle,
-        parts=np.array(parts, np.int64),
-        corners=corners,
-        maps=maps,
-    )
-    return file.getvalue()
-
-
-def _decoded(content: bytes) -> SceneHeights:
-    with np.load(io.BytesIO(content), allow_pickle=False) as file:
-        parts = {
-            int(i): HeightMap(corner, CELL, _metres(units))
-            for i, corner, units in zip(file["parts"], file["corners"], file["maps"], strict=True)
-        }
-        return SceneHeights(HeightMap(CORNER + (0, KITS * CELL), CELL, _metres(file["kits"])), file["middle"], parts)
-
-
-def _units(heights: np.ndarray) -> np.ndarray:
-    return np.where(heights > UNSEEN, np.rint(heights / UNIT) + 1, 0).astype(np.uint16)
-
-
-def _metres(units: np.ndarray) -> np.ndarray:
-    return np.where(units > 0, (units.astype(np.float32) - 1) * np.float32(UNIT), UNSEEN)

@@ -57,7 +57,7 @@ class KitNetExamples:
 
     def keys(self, count: int) -> Sequence[str]:
         """Ids of validation queries: of snap and of place alternately."""
-        each = (self.draws.keys(track, -(-count // 2)) for track in ("snap", "place"))
+        each = (self.draws.queries.keys(track, -(-count // 2)) for track in ("snap", "place"))
         return [key for pair in zip(*each, strict=False) for key in pair][:count]
 
     def stored(self, key: str) -> Example:
@@ -154,8 +154,8 @@ class KitNetTask:
         return self.model(batch["part"], batch["cavity"])
 
 
-def kitnet_task(dataset: Dataset, preset: str) -> tuple[KitNetTask, KitNetConfig]:
-    """The task with new weights, and the network's config."""
+def kitnet_task(dataset: Dataset, preset: str) -> KitNetTask:
+    """The task with new weights."""
     config, heights = KITNET[preset], RenderedHeights.beside(dataset)
     training, validation = (KitNetExamples(QueryDraws(dataset, split, heights), config) for split in ("train", "val"))
-    return KitNetTask(training, validation, KitNet(config)), config
+    return KitNetTask(training, validation, KitNet(config))

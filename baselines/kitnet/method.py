@@ -24,6 +24,9 @@ from kit1000.pose import Pose
 from kit1000.predictor import PredictedMotion
 from kit1000.values import Query, TrueGeometry
 
+STARTS = 12  # yaws of the part around the circle from which it begins without a guess; the best overlap wins
+PASSES = 2  # how often the network rotates the part and looks again: the controller of the method
+
 
 @dataclass(frozen=True, eq=False)
 class Seat:
@@ -45,8 +48,6 @@ class KitNetMethod:
         dataset: Dataset,
         network: KitNet | Path,
         position: Literal["centroid", "none"] = "centroid",
-        starts: int = 12,
-        passes: int = 2,
     ) -> None:
         """A network as it is, or read from the stem of its weights and put on a GPU where there is one.
 
@@ -55,11 +56,9 @@ class KitNetMethod:
             network: trained with a guess for tracks with one, without for the others.
             position: centroid: the centroid of the part over that of the cavity, its lowest point on the floor; none:
                 the part rotates about its pivot and stays, for a method that predicts rotations alone.
-            starts: without a guess, from how many yaws of the part around the circle it begins; the best overlap wins.
-            passes: how often the network rotates the part and looks again: the controller of the method. 0: never.
         """
         self.network: KitNet = ready(network, KitNetConfig, KitNet)
-        self.position, self.starts, self.passes = position, starts, passes
+        self.position = position
         self._heights = RecordedHeights(dataset)
 
     @torch.inference_mode()
@@ -83,10 +82,10 @@ class KitNetMethod:
 
     def _seats(self, query: Query, points: np.ndarray, cavities: list[CavityView]) -> list[Seat]:
         """The part in each cavity, rotated as the network says."""
-        starts = self.starts if query.guess is None else 1
+        starts = STARTS if query.guess is None else 1
         yaws = [Pose.from_rotvec((0.0, 0.0, 2 * np.pi * k / starts)) for k in range(starts)]
         rotated = [(cavity, yaw @ _first_rotation(query, cavity)) for cavity in cavities for yaw in yaws]
-        for _ in range(self.passes):
+        for _ in range(PASSES):
             rotated = self._rotated_further(points, rotated)
         return [seat(cavity, rotation, points, query.pivot) for cavity, rotation in rotated]
 

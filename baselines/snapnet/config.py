@@ -28,8 +28,6 @@ class PositionConfig:
     """Channels that are correlated."""
     target: Literal["cell", "spread"] = "spread"
     """cell: one-hot on the nearest cell, as in the release; spread: trilinear over the eight cells around."""
-    weight: Literal["even", "distance"] = "even"
-    """Weight of an example in the loss; distance: exp(error / window) - 1, as in the release: 0 at the right cell."""
     peak: Literal["cell", "mean"] = "mean"
     """cell: the best cell, as in the paper; mean: the mean of the cells around it, weighted by probability."""
 
@@ -56,8 +54,6 @@ class RotationConfig:
     """Points of a group at either level, as a multiple of the paper's."""
     kit_distance: bool = False
     """Whether the kits' signed distance at each rotated point of the part is an input feature; not in the paper."""
-    candidates: Literal["ball", "tilt", "place", "place-paper"] = "ball"
-    """Candidate rotations: around a guess, or all that a part without a guess may need."""
     training_candidates: int = 40
     """Candidates of a training step: the correct one and negatives."""
     hard_negatives: float = 0.0
@@ -66,17 +62,11 @@ class RotationConfig:
     """candidate: one-hot on the nearest, as in the paper; spread: a Gaussian of the angle to the correct rotation."""
     jitter: float = 2.67e-3
     """[m] largest offset along an axis of the kits' volume in training: three voxels of the paper."""
-    flag: Literal["paper", "release"] = "paper"
-    """The fourth channel: +1 on the part and -1 on the kits, or with the signs reversed."""
-    weight: Literal["even", "distance"] = "even"
-    """Weight of an example in the loss; distance: exp(error / largest) - 1 as in the release."""
 
 
 POSITION = {
     "small": PositionConfig(1.78e-3, (48, 48, 48), (80, 80, 80), (17, 17, 17), (4, 8, 16, 32, 64)),
-    "paper": PositionConfig(
-        0.89e-3, (128, 128, 80), (256, 256, 192), (32, 32, 32), target="cell", weight="even", peak="cell"
-    ),
+    "paper": PositionConfig(0.89e-3, (128, 128, 80), (256, 256, 192), (32, 32, 32), target="cell", peak="cell"),
 }
 ROTATION = {
     "small": RotationConfig(

@@ -14,21 +14,18 @@ import numpy as np
 from baselines.snapnet.candidate_rotations import candidates, nearest_candidate
 from baselines.snapnet.config import PositionConfig, RotationConfig, Source
 from baselines.snapnet.query_volumes import ImageCache, QueryVolumes
-from baselines.training.tasks.split_queries import TRACK_OF, Guesses, SplitQueries, new_guess
+from baselines.training.tasks.split_queries import SplitQueries, new_guess
 from kit1000.dataset.reader import Dataset
-from kit1000.errors import InputError, did_you_mean
 from kit1000.kits.goals import nearest_about_axis
 from kit1000.perception.completion.kits import KitCompleter
 from kit1000.perception.completion.parts import PartCompleter
 from kit1000.pose import Pose, unit_vector
 from kit1000.queries.motions import goal_motion
-from kit1000.queries.tracks import TRACKS, Sensor
 from kit1000.rng import stream
 from kit1000.values import FreeAxis, Query, Truth
 
 Example = dict[str, np.ndarray]
 
-START_JITTER = 3.56e-3  # [m] most along an axis, without a guess: four voxels of the paper
 HARD = 64  # candidates nearest to the correct one: on the ball those within some 14 degrees
 SEED = 0  # of the points and candidates of validation examples
 
@@ -69,8 +66,6 @@ class QuerySampler:
         dataset: Dataset,
         split: str,
         source: Source,
-        guesses: Guesses = "ball",
-        sensor: Sensor = "ideal",
         completer: PartCompleter | None = None,
         kit_completer: KitCompleter | None = None,
     ) -> None:
@@ -80,28 +75,17 @@ class QuerySampler:
             dataset: with its ground truth.
             split: such as train or val.
             source: of the volumes.
-            guesses: the kind of guess errors; place: upright parts without a guess.
-            sensor: of depth images and pivots.
             completer: the network that completes parts of depth images; None fills columns.
             kit_completer: the network that completes kits, see `ObservedKits`.
-
-        Raises:
-            InputError: unknown guesses, or no track with these guesses and this sensor.
         """
-        if guesses not in TRACK_OF:
-            raise InputError(f"guesses {guesses!r}: {did_you_mean(guesses, TRACK_OF)}there are {', '.join(TRACK_OF)}")
         self.source: Source = source
-        self.guesses: Guesses = guesses
-        self.track = TRACK_OF[guesses] if sensor == "ideal" else f"{TRACK_OF[guesses]}-{sensor}"
-        if self.track not in TRACKS:
-            raise InputError(f"sensor {sensor!r}: no track {self.track}; there are {', '.join(TRACKS)}")
-        self.queries = SplitQueries(dataset, split, sensor)
+        self.queries = SplitQueries(dataset, split)
         self.images = ImageCache(completer=completer, kit_completer=kit_completer)
         self._networks = completer, kit_completer
 
     def __reduce__(self) -> tuple[type[QuerySampler], tuple[object, ...]]:
         queries = self.queries
-        options = (queries.dataset, queries.split, self.source, self.guesses, queries.sensor)
+        options = (queries.dataset, queries.split, self.source)
         return QuerySampler, (*options, *self._networks)
 
     def draw(self, rng: np.random.Generator) -> QuerySample:
@@ -110,20 +94,17 @@ class QuerySampler:
         The error is drawn along the working axes, not the world's, so that it fills the window of scores as it does
         without a yaw.
         """
-        query, truth = self.queries.draw(rng, self.track)
+        query, truth = self.queries.draw(rng, "snap")
         volumes = self._volumes(query, truth)
         yaw = Pose.from_rotvec((0, 0, rng.uniform(0, 2 * np.pi)))
-        if self.guesses == "place":
-            shift = yaw.rotate(rng.uniform(-START_JITTER, START_JITTER, 3))
-            return query_sample(volumes, truth, Pose.from_translation(shift) @ volumes.initial_guess(), yaw)
-        return query_sample(volumes, truth, new_guess(rng, query, truth, self.guesses, yaw), yaw)
+        return query_sample(volumes, truth, new_guess(rng, query, truth, "ball", yaw), yaw)
 
     def keys(self, count: int) -> list[str]:
         """Ids of validation queries: `count` of the drawn targets, spread evenly, or all if there are fewer."""
-        return self.queries.keys(self.track, count)
+        return self.queries.keys("snap", count)
 
     def stored(self, key: str) -> QuerySample:
-        """A query of the track by its id, with its stored guess, if it has one, along the axes of the world."""
+        """A query by its id, with its stored guess, along the axes of the world."""
         query, truth = self.queries.stored(key)
         volumes = self._volumes(query, truth)
         return query_sample(volumes, truth, volumes.initial_guess(), Pose.identity())
@@ -148,10 +129,6 @@ class PositionExamples:
     def draw(self, rng: np.random.Generator) -> Example:
         """A training example; the same generator gives the same bytes."""
         return self._of(self.sampler.draw(rng))
-
-    def keys(self, count: int) -> list[str]:
-        """See `QuerySampler.keys`."""
-        return self.sampler.keys(count)
 
     def stored(self, key: str) -> Example:
         """The example of a stored query."""
@@ -178,21 +155,14 @@ class RotationExamples:
     """
 
     def __init__(self, sampler: QuerySampler, config: RotationConfig) -> None:
-        """Examples of the sampler's queries, in the sizes of a config; InputError where its candidates do not suit."""
-        guesses = sampler.guesses
-        if config.candidates.startswith("place") != (guesses == "place"):
-            raise InputError(f"guesses {guesses!r}: the candidates {config.candidates!r} are not made for them")
+        """Examples of the sampler's queries, in the sizes of a config."""
         self.sampler = sampler
         self.config = config
-        self.candidates = candidates(config.candidates)
+        self.candidates = candidates("ball")
 
     def draw(self, rng: np.random.Generator) -> Example:
         """A training example; the same generator gives the same bytes."""
         return self._of(self.sampler.draw(rng), rng)
-
-    def keys(self, count: int) -> list[str]:
-        """See `QuerySampler.keys`."""
-        return self.sampler.keys(count)
 
     def stored(self, key: str, every: bool = False) -> Example:
         """The example of a stored query, always with the same points, jitter and candidates; `every`: all in order."""

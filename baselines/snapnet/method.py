@@ -13,7 +13,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 import torch
 
-from baselines.snapnet.candidate_rotations import CandidateSet, candidates, coarse_candidates, near_candidates
+from baselines.snapnet.candidate_rotations import CandidateSet, coarse_candidates, near_candidates
 from baselines.snapnet.config import Cells, PositionConfig, RotationConfig, Source
 from baselines.snapnet.convolutions import correlate
 from baselines.snapnet.position import COARSEST, PositionNet, position_of
@@ -64,7 +64,6 @@ class SnapNet:
         passes: int = 1,
         completion: Path | None = None,
         kit_completion: Path | None = None,
-        search: Literal["coarse to fine", "all"] = "coarse to fine",
     ) -> None:
         """Networks as they are, or read from the stems of their weights and put on a GPU where there is one.
 
@@ -75,8 +74,6 @@ class SnapNet:
             rotation: network.
             peak: the best candidate rotation, as in the paper, or the mean of those around it, weighted by probability.
             passes: how often the networks run; each further pass starts from the prediction before.
-            search: of the candidates around a guess first some far apart and then those near the best of them, or all,
-                as in the paper, which takes three times as long.
             completion: stem of the weights of the network that completes parts of depth images; None fills columns.
             kit_completion: of the network that completes kits; None leaves free what no pixel shows.
         """
@@ -84,7 +81,6 @@ class SnapNet:
         self.source: Source = source
         self.peak: Literal["candidate", "mean"] = peak
         self.passes = passes
-        self.search: Literal["coarse to fine", "all"] = search
         self.completer: PartCompleter | None = None if completion is None else PartCompleter(completion)
         self.kit_completer = None if kit_completion is None else KitCompleter(kit_completion)
         self.position: PositionNet = ready(position, PositionConfig, PositionNet)
@@ -126,11 +122,8 @@ class SnapNet:
         arrays = volumes.rotation_inputs(guess, work, self.rotation.config, stream(0, "snapnet", query.id))
         inputs = {key: _batch(values, self.rotation) for key, values in arrays.items()}
         name: CandidateSet = "tilt" if query.track == "snap-tilt" else "ball"
-        if self.search == "all" and not near:
-            found = self._rotation(inputs, candidates(name))
-        else:
-            middle = Pose.identity() if near else self._rotation(inputs, coarse_candidates(name)).motion
-            found = self._rotation(inputs, near_candidates(name, middle))
+        middle = Pose.identity() if near else self._rotation(inputs, coarse_candidates(name)).motion
+        found = self._rotation(inputs, near_candidates(name, middle))
         motion = apply_error(guess, query.pivot, offset, found.motion.rotvec())
         return Correction(motion, position_confidence * found.confidence, found.score)
 

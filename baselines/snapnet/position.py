@@ -117,7 +117,6 @@ def position_loss(scores: Tensor, offset: Tensor, config: PositionConfig) -> Ten
         scores: (B, wx, wy, wz) logits.
         offset: (B, 3) [m], the correct one.
         config: `target` cell: the nearest cell (the release rounds down); spread: trilinear over the eight around.
-            `weight` distance: times exp(error / window) - 1 of the best cell's distance from the correct one, detached.
 
     Returns:
         (B,) losses, >= 0.
@@ -129,11 +128,7 @@ def position_loss(scores: Tensor, offset: Tensor, config: PositionConfig) -> Ten
     bounded = torch.minimum(nearest.clamp(min=0), sizes - 1)
     spread = torch.minimum(position.clamp(min=0), sizes - 1)
     target = target_of(spread if config.target == "spread" else bounded, config.window)
-    loss = -(target * scores.flatten(1).log_softmax(dim=1)).sum(dim=1)
-    if config.weight == "distance":
-        error = torch.linalg.norm(best_cell(scores.detach()) - bounded, dim=1)
-        loss = loss * torch.expm1(error / torch.linalg.norm(sizes))
-    return torch.where(inside, loss, 0)
+    return torch.where(inside, -(target * scores.flatten(1).log_softmax(dim=1)).sum(dim=1), 0)
 
 
 def target_of(position: Tensor, window: Cells) -> Tensor:

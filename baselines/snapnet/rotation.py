@@ -160,12 +160,12 @@ class RotationNet(nn.Module):
             parts = len(groups.centres)
             if kits is None:
                 groups = groups.joined(_kit_groups(clouds, number, self._counts(number)))
-            pooled = level(_flagged(clouds, self.config), features, groups)
+            pooled = level(_flagged(clouds), features, groups)
             made.append(kits[number] if kits else pooled[parts:])
             features = torch.cat([pooled[:parts], made[-1]])
             clouds = clouds.next(self._shares(1))
         assert features is not None
-        rows = torch.cat([_flagged(clouds, self.config).to(self.dtype), features.to(self.dtype)], -1)
+        rows = torch.cat([_flagged(clouds).to(self.dtype), features.to(self.dtype)], -1)
         parts = scenes * copies * clouds.part.shape[1]
         rows = self.last(rows[:parts] if kits else rows)
         made.append(kits[-1] if kits else rows[parts:].unflatten(0, (scenes, -1)).amax(1))
@@ -201,9 +201,7 @@ def rotation_loss(logits: Tensor, nearest: Tensor, angles: Tensor, config: Rotat
         logits: (B, C).
         nearest: (B,) int64, the candidate nearest to a correct rotation.
         angles: (B, C) [rad] of each to the nearest correct rotation.
-        config: `target` "spread": weights exp(-(a / SPREAD)^2 / 2) of the angles a in place of a one-hot target;
-            `weight` "distance" multiplies by exp(a / a_max) - 1 of the best-scored candidate, as the release does: the
-            loss is then 0 where the network is correct.
+        config: `target` "spread": weights exp(-(a / SPREAD)^2 / 2) of the angles a in place of a one-hot target.
 
     Returns:
         (B,).
@@ -211,11 +209,7 @@ def rotation_loss(logits: Tensor, nearest: Tensor, angles: Tensor, config: Rotat
     target = nearest
     if config.target == "spread":
         target = (-((angles.float() / SPREAD) ** 2) / 2).softmax(1)
-    loss = functional.cross_entropy(logits.float(), target, reduction="none")
-    if config.weight == "even":
-        return loss
-    chosen = angles.gather(1, logits.argmax(1, keepdim=True))[:, 0]
-    return loss * torch.expm1(chosen / angles.amax(1).clamp(min=1e-9))
+    return functional.cross_entropy(logits.float(), target, reduction="none")
 
 
 def rotation_of(logits: Tensor, rotations: Tensor, peak: Literal["candidate", "mean"]) -> Tensor:
@@ -245,11 +239,10 @@ def _scaled(part: Tensor, kit: Tensor) -> tuple[Tensor, Tensor]:
     return part.float() / far, kit.float() / far
 
 
-def _flagged(clouds: _Clouds, config: RotationConfig) -> Tensor:
-    """The bank with the flag of each point. (N, 4)."""
-    sign = 1.0 if config.flag == "paper" else -1.0
-    flag = clouds.rotated.new_full((len(clouds.bank), 1), -sign)
-    flag[: clouds.rotated.shape[:3].numel()] = sign
+def _flagged(clouds: _Clouds) -> Tensor:
+    """The bank with the flag of each point: +1 on the part, -1 on the kits. (N, 4)."""
+    flag = clouds.rotated.new_full((len(clouds.bank), 1), -1.0)
+    flag[: clouds.rotated.shape[:3].numel()] = 1.0
     return torch.cat([clouds.bank, flag], -1)
 
 

@@ -11,11 +11,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from baselines.snapnet.config import POSITION, ROTATION, PositionConfig, RotationConfig, Source
+from baselines.snapnet.config import POSITION, ROTATION, Source
 from baselines.snapnet.examples import Example, PositionExamples, QuerySampler, RotationExamples
 from baselines.snapnet.position import PositionNet, position_loss, position_of
 from baselines.snapnet.rotation import RotationNet, rotation_loss
-from baselines.training.tasks.split_queries import Guesses
 from kit1000.dataset.reader import Dataset
 from kit1000.perception.completion.kits import KitCompleter
 from kit1000.perception.completion.parts import PartCompleter
@@ -40,7 +39,7 @@ class QueryTask(Generic[Examples]):
 
     def validation_keys(self) -> Sequence[str]:
         """Ids of queries, spread evenly over their split."""
-        return self.validation.keys(self.validation_queries)
+        return self.validation.sampler.keys(self.validation_queries)
 
 
 @dataclass
@@ -88,43 +87,33 @@ class RotationTask(QueryTask[RotationExamples]):
         return self.model(batch["part_points"], batch["kit_points"], batch["rotations"], batch.get("kit_volume"))
 
 
-def position_task(
-    dataset: Dataset, preset: str, source: Source, guesses: Guesses = "ball", completion: Path | None = None
-) -> tuple[PositionTask, PositionConfig]:
-    """The task of a position network with new weights, and its config.
+def position_task(dataset: Dataset, preset: str, source: Source, completion: Path | None = None) -> PositionTask:
+    """The task of a position network with new weights.
 
     completion: stem of the weights of the network that completes parts of depth images; None fills columns.
     """
-    config = POSITION[preset]
-    training, validation = (
-        PositionExamples(sampler, config) for sampler in _samplers(dataset, source, guesses, completion)
-    )
-    return PositionTask(training, validation, VALIDATION_QUERIES["position"], PositionNet(config)), config
+    config, samplers = POSITION[preset], _samplers(dataset, source, completion)
+    training, validation = (PositionExamples(sampler, config) for sampler in samplers)
+    return PositionTask(training, validation, VALIDATION_QUERIES["position"], PositionNet(config))
 
 
 def rotation_task(
-    dataset: Dataset,
-    preset: str,
-    source: Source,
-    guesses: Guesses = "ball",
-    completion: Path | None = None,
-    kit_completion: Path | None = None,
-) -> tuple[RotationTask, RotationConfig]:
-    """The task of a rotation network with new weights, and its config; `completion` as for `position_task`.
+    dataset: Dataset, preset: str, source: Source, completion: Path | None = None, kit_completion: Path | None = None
+) -> RotationTask:
+    """The task of a rotation network with new weights; `completion` as for `position_task`.
 
     kit_completion: of the network that completes kits; None leaves free what no pixel shows.
     """
-    config = ROTATION[preset]
-    samplers = _samplers(dataset, source, guesses, completion, kit_completion)
+    config, samplers = ROTATION[preset], _samplers(dataset, source, completion, kit_completion)
     training, validation = (RotationExamples(sampler, config) for sampler in samplers)
-    return RotationTask(training, validation, VALIDATION_QUERIES["rotation"], RotationNet(config)), config
+    return RotationTask(training, validation, VALIDATION_QUERIES["rotation"], RotationNet(config))
 
 
 def _samplers(
-    dataset: Dataset, source: Source, guesses: Guesses, completion: Path | None, kit_completion: Path | None = None
+    dataset: Dataset, source: Source, completion: Path | None, kit_completion: Path | None = None
 ) -> Iterator[QuerySampler]:
     """Queries for training and for validation."""
     completer = None if completion is None else PartCompleter(completion)
     kit_completer = None if kit_completion is None else KitCompleter(kit_completion)
     for split in ("train", "val"):
-        yield QuerySampler(dataset, split, source, guesses, completer=completer, kit_completer=kit_completer)
+        yield QuerySampler(dataset, split, source, completer=completer, kit_completer=kit_completer)

@@ -99,7 +99,7 @@ class TransporterExamples:
 
     def keys(self, guesses: Guesses, count: int) -> Sequence[str]:
         """Ids of validation queries."""
-        return self.draws.keys(TRACK_OF[guesses], count)
+        return self.draws.queries.keys(TRACK_OF[guesses], count)
 
     def stored(self, key: str) -> Example:
         """The maps of a stored query along the axes of the world, the `yaws` to search, and MOST_GOALS of its goals.
@@ -263,10 +263,10 @@ def _own(name: str, batch: Batch) -> Batch:
     return {key.removeprefix(f"{name}_"): value for key, value in batch.items() if key.startswith(f"{name}_")}
 
 
-def transporter_task(dataset: Dataset, preset: str) -> tuple[TransporterTask, TransporterConfig]:
-    """The task with new weights, and the networks' config."""
+def transporter_task(dataset: Dataset, preset: str) -> TransporterTask:
+    """The task with new weights."""
     config, heights = TRANSPORTER[preset], RenderedHeights.beside(dataset)
     training, validation = (
         TransporterExamples(QueryDraws(dataset, split, heights), config) for split in ("train", "val")
     )
-    return TransporterTask(training, validation, TransporterNet(config)), config
+    return TransporterTask(training, validation, TransporterNet(config))

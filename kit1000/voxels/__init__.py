@@ -7,13 +7,12 @@ A value is distance / truncation, from -1 to 1: negative inside, positive outsid
 from kit1000.voxels.distance import signed_distance
 from kit1000.voxels.grid import Grid, Volume, crop
 from kit1000.voxels.sampling import resample, surface_points
-from kit1000.voxels.tsdf import fuse, tsdf
+from kit1000.voxels.tsdf import tsdf
 
 __all__ = [
     "Grid",
     "Volume",
     "crop",
-    "fuse",
     "resample",
     "signed_distance",
     "surface_points",

@@ -1,4 +1,4 @@
-"""Projective truncated signed distance (TSDF) from one depth image, and the fusion of several.
+"""Projective truncated signed distance (TSDF) from one depth image.
 
 A voxel at depth z whose pixel has depth d gets the value (d - z) / truncation, at most 1. More than the truncation
 behind the surface it is unknown; such voxels are never filled as solid.
@@ -6,12 +6,10 @@ behind the surface it is unknown; such voxels are never filled as solid.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kit1000.errors import InputError, ShapeError, checked
+from kit1000.errors import InputError, checked
 from kit1000.numerics.compiled import compiled
 from kit1000.numerics.linear_algebra import matmul
 from kit1000.values import View
@@ -49,32 +47,6 @@ def tsdf(
         _fill_slab(start, stop, across, down, forward, image, 1 / limit, values)
 
     for_each_slab(fill, grid.shape, threads)
-    return Volume.adopt(grid, values)
-
-
-def fuse(volumes: Sequence[Volume], weights: Sequence[float] | None = None, threads: int | None = None) -> Volume:
-    """The weighted mean of volumes on one grid, at each voxel over those where it is known (Curless and Levoy 1996).
-
-    It is not the ground truth: voxels that are unknown in every view remain unknown.
-    """
-    if not volumes:
-        raise InputError("volumes: expected at least one to fuse, got none")
-    grid = volumes[0].grid
-    if any(volume.grid != grid for volume in volumes):
-        raise ShapeError("volumes: expected all on one and the same grid; `resample` puts them on one")
-    factors = checked("weights", [1.0] * len(volumes) if weights is None else weights, (len(volumes),), np.float32)
-    if (factors <= 0).any():
-        raise InputError(f"weights: expected numbers above 0, got {factors.min()}")
-    values = np.empty(grid.shape, np.float32)
-
-    def average(start: int, stop: int) -> None:
-        total = np.zeros((stop - start, *grid.shape[1:]), np.float32)
-        weight = np.zeros_like(total)
-        for volume, factor in zip(volumes, factors, strict=True):
-            _add_weighted(volume.values[start:stop], factor, total, weight)
-        _divide(total, weight, values[start:stop])
-
-    for_each_slab(average, grid.shape, threads)
     return Volume.adopt(grid, values)
 
 
@@ -166,23 +138,3 @@ def _clip_range(base, slope, first, last):
     else:
         last = min(last, int(np.floor(min(max(edge, first - 1.0), last))) + 1)
     return first, max(first, last)
-
-
-@compiled
-def _add_weighted(values, factor, total, weight):
-    for i in range(values.shape[0]):
-        for j in range(values.shape[1]):
-            for k in range(values.shape[2]):
-                value = values[i, j, k]
-                known = value == value
-                total[i, j, k] += value * factor if known else np.float32(0)
-                weight[i, j, k] += factor if known else np.float32(0)
-
-
-@compiled
-def _divide(total, weight, values):
-    for i in range(values.shape[0]):
-        for j in range(values.shape[1]):
-            for k in range(values.shape[2]):
-                known = weight[i, j, k] > 0  # 0 / 0 would be a NaN with other bits than those of np.nan
-                values[i, j, k] = total[i, j, k] / weight[i, j, k] if known else np.float32(np.nan)

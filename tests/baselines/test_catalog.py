@@ -305,6 +305,7 @@ class Toy:
 class HeightTask:
     def __init__(self, queries):
         self.model = torch.nn.Linear(1, 1)
+        self.model.config = TrainConfig()
         self.queries = queries
 
     def example(self, rng):
@@ -324,7 +325,7 @@ class HeightTask:
 
 
 def height_task(dataset, preset, split):
-    return HeightTask(list(dataset.split(split).queries())), TrainConfig()
+    return HeightTask(list(dataset.split(split).queries()))
 '''
 
 

@@ -120,7 +120,7 @@ def test_fresh_guesses_are_within_their_errors_and_stored_ones_are_those_of_the_
         offsets = sample.goals.apply(sample.query.pivot) - sample.guess.apply(sample.query.pivot)
         turns = (sample.goals @ sample.guess.inverse()).angle()
         assert ((np.abs(offsets).max(1) < 0.0281) & (turns < np.radians(27.51 + 7.5))).any()
-    key = draws.keys("snap", 1)[0]
+    key = draws.queries.keys("snap", 1)[0]
     stored = draws.stored(key)
     assert isinstance(stored.guess, Pose)
     assert stored.query.id == key

@@ -8,6 +8,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from kit1000.perception.networks.unet import UNetConfig
 from kit1000.perception.placement import CELLS, Channel
 from kit1000.perception.placement.network import (
     HOLD,
@@ -15,14 +16,13 @@ from kit1000.perception.placement.network import (
     MIRRORED,
     MOVE_STEP,
     SHARE,
-    PlacementConfig,
     PlacementNet,
     Placer,
     cavity_slopes,
     placed,
 )
 
-SMALL = PlacementConfig(widths=(8, 8, 8))
+SMALL = UNetConfig(widths=(8, 8, 8))
 UNITS = np.array([LEVER, 1e3, 1e3])
 HELD = np.array([0.75, 0.45, 0.45])  # shares of a move by which a fit may be held where it was
 

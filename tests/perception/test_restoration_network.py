@@ -15,8 +15,6 @@ from scipy.ndimage import find_objects
 from baselines.training.tasks.noisy_images import WIDER, noisy_view
 from baselines.training.tasks.restoration import CROPS, beside_jumps, recorded_example, restoration_task
 from kit1000.dataset.reader import Dataset
-from kit1000.errors import InputError
-from kit1000.perception.networks.weight_files import save_weights
 from kit1000.perception.restoration.disparity import (
     STARTS,
     Inputs,
@@ -127,7 +125,7 @@ def test_a_pixel_is_where_the_second_of_three_images_shows_it(noisy: LabelledDep
         wide = shifted_box(box, start, SIDE, CAMERA)
         cut = cropped_inputs(read_of(noisy), wide)
         with torch.inference_mode():
-            read = (torch.from_numpy(cut[name])[None] for name in ("disparity", "returned", "labels", "slope"))
+            read = (torch.from_numpy(cut[name])[None] for name in ("disparity", "returned", "labels", "slope", "level"))
             likeliest = net.eval()(*read).likeliest()[0].numpy()
         whole = np.zeros(noisy.labels.shape)
         whole[wide] = likeliest
@@ -170,20 +168,20 @@ def test_only_the_labels_asked_for_change(noisy: LabelledDepth) -> None:
 
 
 def test_fresh_views_are_the_same_whoever_makes_them(mini: Path) -> None:
-    task, config = restoration_task(Dataset(mini), "small")
-    again, _ = restoration_task(Dataset(mini), "small")
+    task = restoration_task(Dataset(mini), "small")
+    again = restoration_task(Dataset(mini), "small")
     for index in (0, CROPS - 1, 3 * CROPS):
         crop, same = task.training[index], again.training[index]
         assert all(np.array_equal(crop[name], same[name]) for name in crop)
         wrong = np.abs(crop["disparity"] - crop["truth"])[crop["labels"] > 0]
         assert 0.01 < np.median(wrong) < 0.6
-    assert len(task.training) == CROPS * config.views
+    assert len(task.training) == CROPS * 3000
     with pytest.raises(IndexError):
         task.training[len(task.training)]
 
 
 def test_the_truth_measures_zero_and_is_the_likeliest(mini: Path) -> None:
-    task, _ = restoration_task(Dataset(mini), "small")
+    task = restoration_task(Dataset(mini), "small")
     keys = task.validation_keys()
     assert task.validation_keys() == keys
     batch = {name: torch.from_numpy(value)[None] for name, value in task.validation_example(keys[0]).items()}
@@ -196,12 +194,6 @@ def test_the_truth_measures_zero_and_is_the_likeliest(mini: Path) -> None:
     task.model.forward = lambda *_: Mixture(two + 0.05, spread, share)  # type: ignore[method-assign]
     assert truth == pytest.approx(float(np.log(0.04)), abs=1e-3)
     assert float(task.loss(batch)) == pytest.approx(truth + 2.5, abs=1e-3)
-
-
-def test_weights_of_another_network_are_refused(tmp_path: Path) -> None:
-    save_weights(tmp_path / "part", untrained(), {"about": {"network": {"widths": [8, 8, 8, 8], "parts": 3}}})
-    with pytest.raises(InputError, match="no config of a RestorationNet"):
-        Restorer(tmp_path / "part")
 
 
 def test_the_network_mends_what_rules_leave(mini: Path) -> None:

@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from scipy.ndimage import label
 
 from baselines.catalog import all_methods, method_of, run_config
-from baselines.training.tasks.segmentation import logistic
 from kit1000.camera import Camera, look_at
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
@@ -193,17 +192,6 @@ def test_of_very_many_pieces_the_largest_are_kept_in_their_order() -> None:
     many, _ = find_pieces(1.0 + rows % 2, rows >= 0, IDEAL.segmentation)
     assert many.max() == MOST_PIECES
     assert (np.diff(many[many > 0]) >= 0).all()
-
-
-@given(st.integers(0, 2**32 - 1))
-@settings(max_examples=10, deadline=None)
-def test_logistic_regression_finds_the_weights_that_made_the_data(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    features = np.column_stack([np.ones(6000), rng.normal(2.0, 3.0, 6000), rng.normal(0.0, 0.1, 6000)])
-    made_by = np.array([0.5, -0.4, 8.0])
-    chances = 1 / (1 + np.exp(-(features * made_by).sum(1)))
-    found = logistic(features, rng.random(6000) < chances, np.ones(6000))
-    assert (np.abs(found - made_by) < 0.3 * np.abs(made_by) + 0.15).all()
 
 
 @given(st.integers(0, 2**32 - 1))

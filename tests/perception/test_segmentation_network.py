@@ -13,15 +13,11 @@ from hypothesis import strategies as st
 
 from baselines.training.tasks.segmentation import CROPS, CentresTask, centres_task
 from kit1000.dataset.reader import Dataset
-from kit1000.errors import InputError
 from kit1000.metrics.segmentation import mean_iou
-from kit1000.perception.networks.weight_files import save_weights
 from kit1000.perception.restoration.restorer import Restorer
 from kit1000.perception.segmentation.instances import find_bodies, segmented
 from kit1000.perception.segmentation.part_finder import (
     MIDDLES_APART,
-    CentresConfig,
-    CentresNet,
     PartFinder,
     Votes,
     gathered,
@@ -50,7 +46,7 @@ def image(mini: Path) -> LabelledDepth:
 
 @pytest.fixture(scope="module")
 def task(mini: Path) -> CentresTask:
-    return centres_task(Dataset(mini), "small", UNMASKED)[0]
+    return centres_task(Dataset(mini), "small", UNMASKED)
 
 
 @given(st.integers(0, 2**32 - 1))
@@ -95,12 +91,12 @@ def test_a_scene_of_another_size_looks_alike_from_a_distance_in_proportion(mini:
 
 
 def test_fresh_views_are_the_same_whoever_makes_them(mini: Path, task: CentresTask) -> None:
-    again, config = centres_task(Dataset(mini), "small", UNMASKED)
+    again = centres_task(Dataset(mini), "small", UNMASKED)
     for index in (0, CROPS - 1, CROPS):
         crop, same = task.training[index], again.training[index]
         assert all(np.array_equal(crop[name], same[name]) for name in crop)
         assert not crop["across"][~crop["part"]].any()
-    assert len(task.training) == CROPS * config.views
+    assert len(task.training) == CROPS * 2500
     with pytest.raises(IndexError):
         task.training[len(task.training)]
 
@@ -126,13 +122,6 @@ def test_the_true_votes_of_an_image_are_its_masks(task: CentresTask) -> None:
     found = gathered(np.stack([rows + example["down"], columns + example["across"]]), example["part"])
     assert found.max() >= 1
     assert ((found > 0) == example["part"]).all()
-
-
-def test_weights_of_another_network_are_refused(tmp_path: Path) -> None:
-    net = CentresNet(CentresConfig(widths=(8, 8, 8, 8)))
-    save_weights(tmp_path / "part", net, {"about": {"network": {"widths": [8, 8, 8, 8], "parts": 3}}})
-    with pytest.raises(InputError, match="no config of a CentresNet"):
-        PartFinder(tmp_path / "part")
 
 
 def test_noisy_parts_are_told_apart(mini: Path, restorer: Restorer) -> None:

@@ -6,13 +6,13 @@ import pytest
 import torch
 from torch import nn
 
-from kit1000.perception.networks.unet import BandedConv2d, UNet, folded, in_float64
+from kit1000.perception.networks.unet import BandedConv2d, UNet, UNetConfig, folded, in_float64
 
 
 def random_net(blocks: int) -> UNet:
     """A small one whose norms have seen data."""
     torch.manual_seed(blocks)
-    net = UNet(3, 2, (8, 12, 16), blocks)
+    net = UNet(3, 2, UNetConfig((8, 12, 16), blocks))
     for module in net.modules():
         if isinstance(module, nn.BatchNorm2d):
             for values, low, high in (

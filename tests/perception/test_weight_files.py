@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -13,6 +15,9 @@ from hypothesis import strategies as st
 from torch import nn
 
 from kit1000.errors import InputError
+from kit1000.perception.completion.kits import KitCompleter
+from kit1000.perception.completion.parts import PartCompleter
+from kit1000.perception.networks.precision import Precision
 from kit1000.perception.networks.weight_files import (
     LARGEST,
     copied_state,
@@ -21,6 +26,9 @@ from kit1000.perception.networks.weight_files import (
     save_tensors,
     save_weights,
 )
+from kit1000.perception.placement.network import Placer
+from kit1000.perception.restoration.restorer import Restorer
+from kit1000.perception.segmentation.part_finder import PartFinder
 
 
 def network(seed: int = 0, width: int = 5) -> nn.Sequential:
@@ -92,14 +100,6 @@ def test_int8_weights_stored_again_are_the_same(stem: Path) -> None:
         torch.testing.assert_close(again[name], value, rtol=1e-6, atol=0)
 
 
-def test_numbers_that_are_not_finite_are_refused_as_int8(stem: Path) -> None:
-    model = network()
-    model.get_parameter("0.weight").data[0, 0] = torch.inf
-    with pytest.raises(InputError, match=r"0\.weight has numbers that are not finite"):
-        save_weights(stem, model, {}, precision="int8")
-    assert not list(stem.parent.iterdir())
-
-
 def test_the_same_weights_give_the_same_bytes(tmp_path: Path) -> None:
     for name in "ab":
         save_weights(tmp_path / name, network(), {"steps": 1})
@@ -107,11 +107,16 @@ def test_the_same_weights_give_the_same_bytes(tmp_path: Path) -> None:
     assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
 
 
-def test_numbers_beyond_float16_are_refused_before_anything_is_written(stem: Path) -> None:
+@pytest.mark.parametrize(
+    ("precision", "number", "reason"), [("int8", torch.inf, "not finite"), ("float16", 1e5, "too large for float16")]
+)
+def test_numbers_beyond_a_precision_are_refused_before_anything_is_written(
+    stem: Path, precision: Precision, number: float, reason: str
+) -> None:
     model = network()
-    model.get_parameter("0.weight").data[0, 0] = 1e5
-    with pytest.raises(InputError, match=r"0\.weight has numbers too large for float16"):
-        save_weights(stem, model, {}, precision="float16")
+    model.get_parameter("0.weight").data[0, 0] = number
+    with pytest.raises(InputError, match=rf"0\.weight has numbers .*{reason}"):
+        save_weights(stem, model, {}, precision=precision)
     assert not list(stem.parent.iterdir())
 
 
@@ -168,6 +173,13 @@ def test_weights_are_loaded_into_a_network_in_place() -> None:
     load_into(other, copied_state(model), "here")
     assert same(copied_state(other), copied_state(model))
     assert other.get_parameter("0.weight").data_ptr() == memory
+
+
+@pytest.mark.parametrize("make", [PartCompleter, KitCompleter, PartFinder, Placer, Restorer])
+def test_weights_of_another_network_are_refused(stem: Path, make: Callable[[Path], Any]) -> None:
+    save_weights(stem, network(), {"about": {"network": {"widths": [8, 8, 8]}}})
+    with pytest.raises(InputError, match=r"which this network (has|has not);? "):
+        make(stem)
 
 
 @pytest.mark.parametrize(

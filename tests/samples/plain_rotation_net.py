@@ -30,7 +30,7 @@ def plain_scores(net: RotationNet, part: Tensor, kit: Tensor, rotations: Tensor,
         assert isinstance(level, SetAbstraction)
         half = config.centres[stage] // 2
         chosen = [plain_farthest(part_points, half), plain_farthest(kit_points, config.centres[stage] - half)]
-        places = with_flag(moved, kit_points, config)
+        places = with_flag(moved, kit_points)
         points = part_points.shape[1]
         centres = torch.cat([chosen[0], chosen[1] + points], 1)
         found = []
@@ -49,7 +49,7 @@ def plain_scores(net: RotationNet, part: Tensor, kit: Tensor, rotations: Tensor,
             gather(kit_points, chosen[1]),
         )
     assert features is not None
-    rows = torch.cat([with_flag(moved, kit_points, config), features], -1).transpose(1, 2)[..., None]
+    rows = torch.cat([with_flag(moved, kit_points), features], -1).transpose(1, 2)[..., None]
     return net.head(convolved(net.last, rows).amax((2, 3))).T
 
 
@@ -114,7 +114,6 @@ def gather(points: Tensor, index: Tensor) -> Tensor:
     return points[torch.arange(len(points))[:, None], index]
 
 
-def with_flag(moved: Tensor, kit_points: Tensor, config: RotationConfig) -> Tensor:
-    sign = 1.0 if config.flag == "paper" else -1.0
-    clouds = ((moved, sign), (kit_points, -sign))
+def with_flag(moved: Tensor, kit_points: Tensor) -> Tensor:
+    clouds = ((moved, 1.0), (kit_points, -1.0))
     return torch.cat([nn.functional.pad(cloud, (0, 1), value=value) for cloud, value in clouds], 1)

@@ -13,7 +13,7 @@ from kit1000.errors import InputError
 from kit1000.pose import Pose
 from kit1000.sim.render import render
 from kit1000.values import View
-from kit1000.voxels import Grid, Volume, fuse, signed_distance, surface_points, tsdf
+from kit1000.voxels import Grid, signed_distance, surface_points, tsdf
 from tests.samples.shapes import as_part, ring_plate
 from tests.samples.strategies import poses
 
@@ -162,38 +162,12 @@ def test_voxels_deep_inside_are_never_free() -> None:
     assert (inside & observed.occupied).sum() > 500
 
 
-def test_fusion_is_the_weighted_mean_over_known_voxels() -> None:
-    rng = np.random.default_rng(5)
-    grid = Grid((40, 9, 8), 1e-3, Pose.identity())
-    volumes = [
-        Volume(grid, np.where(rng.random(grid.shape) < 0.4, np.nan, rng.uniform(-1, 1, grid.shape))) for _ in range(3)
-    ]
-    weights = np.array([1.0, 0.5, 2.0])
-    values = np.stack([volume.values for volume in volumes])
-    known = ~np.isnan(values) * weights[:, None, None, None]
-    with np.errstate(invalid="ignore"):
-        mean = (np.nan_to_num(values) * known).sum(0) / known.sum(0)
-    np.testing.assert_allclose(fuse(volumes, weights.tolist()).values, mean, atol=1e-6)
-    assert fuse([volumes[0]]).values.tobytes() == volumes[0].values.tobytes()
-    assert fuse([volumes[0]] * 3).values == pytest.approx(volumes[0].values, abs=1e-6, nan_ok=True)
-
-
-def test_more_views_leave_fewer_voxels_unknown_but_not_none() -> None:
-    grid = Grid.centred(Pose.identity(), (50, 50, 50), 1e-3)
-    above = [tsdf(grid, part_view(eye)) for eye in ((0.15, 0.1, 0.2), (-0.15, 0.1, 0.2), (0.0, -0.2, 0.15))]
-    fused, inside = fuse(above), signed_distance(grid, [(PART, Pose.identity())]).occupied
-    np.testing.assert_array_equal(fused.known, np.logical_or.reduce([volume.known for volume in above]))
-    assert (inside & ~fused.known).sum() > 0.05 * inside.sum()
-
-
 def test_threads_change_no_byte() -> None:
     grid = Grid.centred(Pose.from_rotvec((0.1, 0.2, 0.3)), (90, 80, 70), 1e-3)
     view = part_view()
     mask = view.depth > 0.25
     volumes = [tsdf(grid, view, mask, threads=n) for n in (1, 2, 5, None)]
-    fused = [fuse(volumes[:2], threads=n) for n in (1, 2)]
     assert len({volume.values.tobytes() for volume in volumes}) == 1
-    assert len({volume.values.tobytes() for volume in fused}) == 1
 
 
 @pytest.mark.parametrize(
@@ -215,15 +189,3 @@ def test_invalid_input_is_rejected(arguments: dict[str, Any], message: str) -> N
 def test_a_negative_depth_is_rejected() -> None:
     with pytest.raises(InputError, match=r"depth: expected 0 \(no return\) or more, got -0.5"):
         tsdf(AHEAD, level_view(-0.5))
-
-
-def test_fusing_volumes_on_different_grids_is_rejected() -> None:
-    volume = tsdf(AHEAD, level_view(0.5))
-    with pytest.raises(InputError, match="expected at least one to fuse"):
-        fuse([])
-    with pytest.raises(InputError, match="one and the same grid"):
-        fuse([volume, volume.moved(Pose.from_translation((1e-3, 0, 0)))])
-    with pytest.raises(InputError, match=r"weights: expected float32 of shape \(1,\)"):
-        fuse([volume], [1, 2])
-    with pytest.raises(InputError, match="weights: expected numbers above 0"):
-        fuse([volume], [0])

@@ -51,10 +51,6 @@ class QueryDraws:
         query, truth = self.queries.draw(rng, TRACK_OF[guesses])
         return self._of(query, truth, None if guesses == "place" else new_guess(rng, query, truth, guesses))
 
-    def keys(self, track: str, count: int) -> list[str]:
-        """See `SplitQueries.keys`."""
-        return self.queries.keys(track, count)
-
     def stored(self, key: str) -> GoalQuery:
         """A query by its id, with its stored guess, if it has one."""
         query, truth = self.queries.stored(key)

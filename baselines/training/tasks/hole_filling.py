@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 
 from baselines.training.tasks.noisy_images import scanned_view
 from baselines.training.tasks.restoration import (
@@ -23,12 +22,13 @@ from baselines.training.tasks.restoration import (
 from kit1000.dataset.reader import Dataset
 from kit1000.perception.restoration import calibrated_image
 from kit1000.perception.restoration.disparity import above_table, cropped_inputs
-from kit1000.perception.restoration.restorer import HOLES, UNIT, RestorationConfig, RestorationNet, hole_inputs, holes
+from kit1000.perception.restoration.restorer import UNIT, RestorationConfig, RestorationNet, hole_inputs, holes
 from kit1000.perception.sensor_facts import simulated_sensor
 from kit1000.values import LabelledDepth
 
 KITS_SHARE = 0.75  # of the crops: about a hole of the kits, not of a part
 SENSOR = "photoneo"
+VIEWS = {"pretraining": (2500, 2061), "small": (2000, 2062)}  # number and seed of the views; the second run continues
 FAR = 0.5  # [px] of disparity: a filled pixel that far from the truth shows another surface
 
 
@@ -40,7 +40,7 @@ class HoleViews(ViewCrops):
 
     def crops(self, rng: np.random.Generator) -> list[Example]:
         """About holes of the kits and of parts."""
-        image, depth = fresh_image(self.dataset, self.scenes, rng, scanned_view)
+        image, depth = fresh_image(self.dataset, rng, scanned_view)
         whole = example_of(image, depth)
         places = [body_pixel(np.where(whole["counts"], image.labels, 0), KITS_SHARE, rng) for _ in range(CROPS)]
         return [cropped_inputs(whole, box_about(*place)) for place in places]
@@ -74,10 +74,8 @@ class HoleFillingTask(MixtureTask[HoleViews]):
         }
 
 
-def hole_filling_task(dataset: Dataset, preset: str) -> tuple[HoleFillingTask, RestorationConfig]:
-    """The task with new weights, and the config of its network."""
-    config = HOLES[preset]
-    model = RestorationNet(config).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
-    scenes = dataset.split("train").scene_ids
-    views = HoleViews(dataset=dataset, scenes=scenes, seed=config.views_seed, count=config.views)
-    return HoleFillingTask(views, dataset, "val", model), config
+def hole_filling_task(dataset: Dataset, preset: str) -> HoleFillingTask:
+    """The task with new weights."""
+    count, seed = VIEWS[preset]
+    views = HoleViews(dataset=dataset, count=count, seed=seed)
+    return HoleFillingTask(views, dataset, "val", RestorationNet(RestorationConfig()))

@@ -15,9 +15,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from baselines.training.tasks.noisy_images import noisy_view
-from baselines.training.tasks.part_completion import OVERLAP, DrawnPart, drawn_part
-from baselines.training.validation import drawn_targets
+from baselines.training.tasks.part_completion import DrawnPart, drawn_part, rendered_box
+from baselines.training.validation import RecordedTask, drawn_targets
 from kit1000.dataset.geometry import Geometry
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError, Redraw
@@ -28,14 +27,8 @@ from kit1000.kits.kit import design_kit
 from kit1000.mesh import Mesh
 from kit1000.numerics.linear_algebra import length, matmul
 from kit1000.parts.family import part_of_mesh
-from kit1000.perception.completion.kits import (
-    KIT_COMPLETION,
-    KitCompletionConfig,
-    KitCompletionNet,
-    kit_loss,
-    likely_depths,
-)
-from kit1000.perception.completion.parts import pixel_box
+from kit1000.perception.completion.kits import KitCompletionNet, kit_loss, likely_depths
+from kit1000.perception.networks.unet import UNetConfig
 from kit1000.perception.observed.kits import (
     CELL,
     CELLS,
@@ -51,10 +44,9 @@ from kit1000.perception.restoration.restorer import Restorer
 from kit1000.perception.sensor_facts import simulated_sensor
 from kit1000.pose import Pose
 from kit1000.rng import stream
-from kit1000.sim.cameras import CAMERA, draw_primary_pose
-from kit1000.sim.layout import KITS_CENTRE, MAX_KITS_SHIFT, table
-from kit1000.sim.render import render
-from kit1000.values import ASSEMBLY_LABEL, Assembly, Kit, LabelledDepth, Mount, View
+from kit1000.sim.cameras import draw_primary_pose
+from kit1000.sim.layout import KITS_CENTRE, MAX_KITS_SHIFT
+from kit1000.values import ASSEMBLY_LABEL, Assembly, Kit, Mount
 
 MAX_DRAWS = 50  # of one kit
 STRETCH = np.array([(0.75, 1.1), (0.75, 1.1), (0.7, 1.05)])
@@ -68,6 +60,14 @@ PLANE_ERRORS = {"ideal": (1e-3, 3e-5), "d415": (6e-3, 3e-4)}
 BORDER = 12  # [px] around what is needed: the sensor's noise and fattened edges reach so far
 Example = dict[str, np.ndarray]
 VALIDATION_SCENES = 20  # spread evenly over the validation split; each with ideal depth and with the d415's
+VIEWS = {
+    "small": (2034,),
+    "pretraining": (2032, 12_000, 0.75, 3000, 0.0),
+    "pretraining-2": (2033, 10_000, 0.25, 600, 0.0),
+    "measured": (2052,),
+}
+"""Fields of `KitViews` from `seed` on, by preset, each run from the weights of the one before: `pretraining` sees more
+kinds of kits than those of datasets, `pretraining-2` mostly theirs, the others fresh and stretched ones of both."""
 BESIDE = 0.2  # weight of a cell beside the plate
 Batch = dict[str, Tensor]
 
@@ -122,16 +122,17 @@ class KitViews:
     geometry: Geometry
     assemblies: Sequence[str]
     """Ids of those that are shown."""
-    seed: int
-    count: int
-    drawn: int
-    """Fresh kits of that seed."""
-    drawn_share: float
-    """Share of the views with one of these instead of the kit that is shown."""
-    stretched_share: float
-    """Share of the views with the kit that is shown stretched."""
     restorer: Restorer
     """Restorer of the images of the d415."""
+    seed: int
+    """Seed of views and kits."""
+    count: int = 14_000
+    drawn_share: float = 0.5
+    """Share of the views with a newly cut kit instead of the kit that is shown."""
+    drawn: int = 3000
+    """Number of these newly cut kits."""
+    stretched_share: float = 0.75
+    """Share of the views with the kit that is shown stretched."""
     _kept: dict[int, Example] = field(default_factory=dict, repr=False, compare=False)
     _kits: dict[int, Kit] = field(default_factory=dict, repr=False, compare=False)
 
@@ -153,7 +154,9 @@ class KitViews:
         world_from_assembly = Pose.from_rotvec((0.0, 0.0, rng.uniform(0, 2 * np.pi)), (*shift, 0.0))
         plane, middle = _near(world_from_assembly @ mount.assembly_from_kit, sensor, rng)
         camera, noise = _camera_before(plane, middle, rng), rng if sensor == "d415" else None
-        image = _image(assembly, world_from_assembly, plane, middle, camera, noise)
+        around = height_grid(away_frame(plane, middle, camera.xyz))
+        bodies = [(assembly.mesh, world_from_assembly)]
+        image = rendered_box(around, BORDER, camera, bodies, ASSEMBLY_LABEL, noise)
         facts = simulated_sensor(sensor)
         restored = self.restorer(image, facts, (ASSEMBLY_LABEL,))
         relief = seen_heights(restored, plane, middle, facts.kind.best.noise)
@@ -222,30 +225,6 @@ def _camera_before(plane: Plane, middle: np.ndarray, rng: np.random.Generator) -
             return pose
 
 
-def _image(
-    assembly: Assembly,
-    world_from_assembly: Pose,
-    plane: Plane,
-    middle: np.ndarray,
-    world_from_camera: Pose,
-    noise: np.random.Generator | None,
-) -> LabelledDepth:
-    """The depth image of an assembly on the table, as much of it as shows a relief about a middle.
-
-    noise: of the calibrated d415; None for ideal depth.
-    """
-    around = height_grid(away_frame(plane, middle, world_from_camera.xyz))
-    rows, columns = pixel_box(around, CAMERA, world_from_camera, BORDER)
-    columns = slice(columns.start - (0 if noise is None else OVERLAP), columns.stop)
-    size = columns.stop - columns.start, rows.stop - rows.start
-    camera = replace(CAMERA, width=size[0], height=size[1], cx=CAMERA.cx - columns.start, cy=CAMERA.cy - rows.start)
-    bodies = [(table(), Pose.identity()), (assembly.mesh, world_from_assembly)]
-    rendered = render(camera, world_from_camera, bodies, threads=1)
-    labels = np.where(rendered.body_ids == 2, ASSEMBLY_LABEL, 0).astype(np.uint8)
-    view = View(camera, world_from_camera, rendered.depth)
-    return LabelledDepth(view if noise is None else noisy_view(view, noise), labels)
-
-
 class Key(NamedTuple):
     """A validation example: the kit of the drawn target of a scene, seen by a sensor."""
 
@@ -255,15 +234,13 @@ class Key(NamedTuple):
 
 
 @dataclass
-class KitCompletionTask:
+class KitCompletionTask(RecordedTask[Key]):
     """Complete the relief of a plate from one image."""
 
     training: KitViews
     dataset: Dataset
     split: str
     model: KitCompletionNet
-    kept: dict[Key, Example] = field(default_factory=dict)
-    """The validation examples, once they are made: an image takes longer to read than to complete."""
 
     def example(self, rng: np.random.Generator) -> Example:
         """One of the fresh views, or its mirror image."""
@@ -273,15 +250,10 @@ class KitCompletionTask:
     def validation_keys(self) -> Sequence[Key]:
         """The kits of the drawn targets of VALIDATION_SCENES scenes, by both sensors where the dataset has both."""
         targets = drawn_targets(self.dataset, self.split, VALIDATION_SCENES)
-        keys = [Key(query.scene_id, query.id, sensor) for query, sensor in targets]
-        self.kept = {key: self.kept.get(key) or self._example(key) for key in keys}
-        return keys
+        return [Key(query.scene_id, query.id, sensor) for query, sensor in targets]
 
-    def validation_example(self, key: Key) -> Example:
+    def recorded(self, key: Key) -> Example:
         """The kit as its image shows it; that of the d415 is calibrated by the table and restored."""
-        return self.kept.get(key) or self._example(key)
-
-    def _example(self, key: Key) -> Example:
         scene = self.dataset.split(self.split, truth=True).scene(key.scene_id)
         truth = scene.truth_of(key.query_id)
         assembly = self.dataset.geometry.assembly(truth.assembly_id)
@@ -308,24 +280,8 @@ class KitCompletionTask:
         return {"hidden_mm": wrong / hidden.sum((1, 2)).clamp(min=1)}
 
 
-def kit_completion_task(
-    dataset: Dataset, preset: str, restoration: Path
-) -> tuple[KitCompletionTask, KitCompletionConfig]:
-    """The task with new weights, and the config of its network.
-
-    restoration: stem of the weights of the network that restores images of the d415.
-    """
-    config = KIT_COMPLETION[preset]
-    model = KitCompletionNet(config).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
+def kit_completion_task(dataset: Dataset, preset: str, restoration: Path) -> KitCompletionTask:
+    """The task with new weights. restoration: stem of the weights of the network that restores images of the d415."""
     ids = sorted(id for id, row in dataset.geometry.assemblies.items() if row["split"] == "train")
-    views = KitViews(
-        dataset.geometry,
-        ids,
-        seed=config.views_seed,
-        count=config.views,
-        drawn=config.drawn_kits,
-        drawn_share=config.drawn_share,
-        stretched_share=config.stretched_share,
-        restorer=Restorer(restoration),
-    )
-    return KitCompletionTask(views, dataset, "val", model), config
+    views = KitViews(dataset.geometry, ids, Restorer(restoration), *VIEWS[preset])
+    return KitCompletionTask(views, dataset, "val", KitCompletionNet(UNetConfig()))

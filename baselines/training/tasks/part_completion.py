@@ -5,21 +5,21 @@ Part i of a seed is the same whoever makes it, so shards are only a cache: a run
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
+from joblib import Memory
 from torch import Tensor
 
 from baselines.training.tasks.noisy_images import noisy_view
-from baselines.training.validation import drawn_targets
+from baselines.training.validation import RecordedTask, drawn_targets
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError, MeshRefused, Redraw
-from kit1000.files import user_cache, write_bytes
+from kit1000.files import user_cache
 from kit1000.generation.plan import family_weights
 from kit1000.generation.presets import PRESETS
 from kit1000.kits.face import resting_faces
@@ -30,9 +30,7 @@ from kit1000.parts.family_catalog import FAMILIES
 from kit1000.parts.mixtures import choose_family
 from kit1000.perception.completion.parts import (
     CODE,
-    COMPLETION,
     SHAPE,
-    CompletionConfig,
     CompletionNet,
     FramedPart,
     completion_loss,
@@ -42,6 +40,7 @@ from kit1000.perception.completion.parts import (
     pixel_box,
     scale_of,
 )
+from kit1000.perception.networks.unet import UNetConfig
 from kit1000.perception.observed.occupancy import filled_share
 from kit1000.perception.restoration import calibrated_image
 from kit1000.perception.sensor_facts import simulated_sensor
@@ -52,8 +51,13 @@ from kit1000.sim.footprints import footprint
 from kit1000.sim.layout import DROP_BOUNDS, UPRIGHT_SHARE, table
 from kit1000.sim.render import render
 from kit1000.values import FIRST_PART_LABEL, LabelledDepth, View
+from kit1000.voxels import Grid
 
 PRESET = PRESETS["kit1000"]
+PARTS_SHOWN = 20_000  # newly sampled parts that the examples show
+PARTS = {"small": (2027, 0.0), "pretraining": (2026, 0.35), "measured": (2051, 0.35)}
+"""Seed of the parts, and share of the examples that the d415 measures, by preset. `small` starts from the weights of
+`pretraining`, `measured` of noisy parts from those of `small`."""
 SHARD = 100  # parts of a file
 STRETCHED = 0.25  # share of parts whose axes are scaled apart, by up to STRETCH
 STRETCH = 1.5
@@ -111,14 +115,13 @@ class DrawnParts:
         return (self[index] for index in range(self.count))
 
     def shard(self, number: int) -> list[DrawnPart]:
-        """The parts of a shard, from its file, which is written if there is none yet."""
-        path = None if self.folder is None else self.folder / f"parts-{self.seed}-{number:04d}.npz"
-        if path is not None and path.exists():
-            return _read(path)
-        parts = [drawn_part(self.seed, i) for i in range(SHARD * number, SHARD * (number + 1))]
-        if path is not None:
-            write_bytes(path, _packed(parts))
-        return parts
+        """The parts of a shard, kept in the folder once they are made."""
+        return Memory(self.folder, verbose=0).cache(drawn_shard)(self.seed, number)  # pyright: ignore[reportReturnType]
+
+
+def drawn_shard(seed: int, number: int) -> list[DrawnPart]:
+    """SHARD parts of a seed."""
+    return [drawn_part(seed, i) for i in range(SHARD * number, SHARD * (number + 1))]
 
 
 def drawn_part(seed: int, index: int) -> DrawnPart:
@@ -168,30 +171,6 @@ def _union(mesh: Mesh, other: Mesh, yaw: float, shift: np.ndarray) -> Mesh:
     moved = solid_from_mesh(other).rotate((0.0, 0.0, float(np.degrees(yaw)))).translate(tuple(shift.tolist()))
     pieces = (solid_from_mesh(mesh) + moved).decompose()
     return mesh_from_solid(max(pieces, key=lambda piece: piece.volume()))
-
-
-def _packed(parts: Sequence[DrawnPart]) -> bytes:
-    """The parts as a file of numpy."""
-    arrays = {
-        "vertices": np.concatenate([part.mesh.vertices for part in parts]).astype(np.float32),
-        "faces": np.concatenate([part.mesh.faces for part in parts]),
-        "down": np.concatenate([part.down for part in parts]),
-        "probability": np.concatenate([part.probability for part in parts]),
-        "counts": np.array([(len(part.mesh.vertices), len(part.mesh.faces), len(part.down)) for part in parts]),
-    }
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, **arrays)
-    return buffer.getvalue()
-
-
-def _read(path: Path) -> list[DrawnPart]:
-    with np.load(path, allow_pickle=False) as file:
-        arrays = {name: file[name] for name in ("vertices", "faces", "down", "probability", "counts")}
-    ends = arrays["counts"][:-1].cumsum(0)
-    vertices, faces = np.split(arrays["vertices"], ends[:, 0]), np.split(arrays["faces"], ends[:, 1])
-    down, probability = np.split(arrays["down"], ends[:, 2]), np.split(arrays["probability"], ends[:, 2])
-    columns = zip(vertices, faces, down, probability, strict=True)
-    return [DrawnPart(Mesh(v.astype(np.float64), f), d, p) for v, f, d, p in columns]
 
 
 @dataclass(frozen=True)
@@ -259,21 +238,39 @@ def example_of(part: FramedPart, mesh: Mesh, world_from_part: Pose, mirrored: bo
 
 
 def _image(bodies: list[Body], world_from_camera: Pose, noise: np.random.Generator | None) -> LabelledDepth:
-    """The depth image of bodies on the table, as much of it as the first one needs.
-
-    noise: of the calibrated d415; None for ideal depth.
-    """
+    """The depth image of bodies on the table, as much of it as the first one needs; noise: see `rendered_box`."""
     pose = bodies[0][1]
     around = grid_at(float(pose.xyz[0]), float(pose.xyz[1]), 0.0)
     wide = replace(around, shape=(SHAPE[0] + 40, SHAPE[1] + 40, SHAPE[2])).moved(
         Pose.from_translation((-20 * around.voxel_size, -20 * around.voxel_size, 0.0))
     )
-    rows, columns = pixel_box(wide, CAMERA, world_from_camera, BORDER)
+    return rendered_box(wide, BORDER, world_from_camera, bodies, FIRST_PART_LABEL, noise)
+
+
+def rendered_box(
+    grid: Grid,
+    border: int,
+    world_from_camera: Pose,
+    bodies: Sequence[Body],
+    first_label: int,
+    noise: np.random.Generator | None,
+) -> LabelledDepth:
+    """The depth image of bodies on the table, as much of it as shows a grid.
+
+    Args:
+        grid: that is shown.
+        border: [px] about it.
+        world_from_camera: of the primary camera.
+        bodies: on the table.
+        first_label: label of the first body; the others count on.
+        noise: of the calibrated d415; None for ideal depth.
+    """
+    rows, columns = pixel_box(grid, CAMERA, world_from_camera, border)
     columns = slice(columns.start - (0 if noise is None else OVERLAP), columns.stop)
     size = columns.stop - columns.start, rows.stop - rows.start
     camera = replace(CAMERA, width=size[0], height=size[1], cx=CAMERA.cx - columns.start, cy=CAMERA.cy - rows.start)
     frame = render(camera, world_from_camera, [(table(), Pose.identity()), *bodies], threads=1)
-    labels = np.where(frame.body_ids > 1, frame.body_ids - 2 + FIRST_PART_LABEL, 0).astype(np.uint8)
+    labels = np.where(frame.body_ids > 1, frame.body_ids - 2 + first_label, 0).astype(np.uint8)
     view = View(camera, world_from_camera, frame.depth)
     return LabelledDepth(view if noise is None else noisy_view(view, noise), labels)
 
@@ -287,15 +284,13 @@ class Key(NamedTuple):
 
 
 @dataclass
-class CompletionTask:
+class CompletionTask(RecordedTask[Key]):
     """Complete a part from one image."""
 
     training: DrawnViews
     dataset: Dataset
     split: str
     model: CompletionNet
-    kept: dict[Key, Example] = field(default_factory=dict)
-    """The validation examples, once they are made: an image takes longer to read than to complete."""
 
     def example(self, rng: np.random.Generator) -> Example:
         """A fresh view of a fresh part."""
@@ -306,15 +301,10 @@ class CompletionTask:
         targets = drawn_targets(self.dataset, self.split, VALIDATION_SCENES)
         share = self.training.d415_share
         sensors = [name for name, of_all in (("ideal", 1 - share), ("d415", share)) if of_all > 0]
-        keys = [Key(query.scene_id, query.part, sensor) for query, sensor in targets if sensor in sensors]
-        self.kept = {key: self.kept.get(key) or self._example(key) for key in keys}
-        return keys
+        return [Key(query.scene_id, query.part, sensor) for query, sensor in targets if sensor in sensors]
 
-    def validation_example(self, key: Key) -> Example:
+    def recorded(self, key: Key) -> Example:
         """The part as its image shows it; that of the d415 is calibrated by the table."""
-        return self.kept.get(key) or self._example(key)
-
-    def _example(self, key: Key) -> Example:
         scene = self.dataset.split(self.split, truth=True).scene(key.scene_id)
         image = calibrated_image(scene.labelled_depth(key.sensor), simulated_sensor(key.sensor))
         mesh, pose = scene.bodies()[2 + key.part]
@@ -347,15 +337,9 @@ def _wrong(filled: Tensor, solid: Tensor) -> Tensor:
     return 1 - (filled & solid).sum(1) / (filled | solid).sum(1).clamp(min=1)
 
 
-def completion_task(dataset: Dataset, preset: str, **changes: Any) -> tuple[CompletionTask, CompletionConfig]:
-    """The task with new weights, and the config of its network.
-
-    Args:
-        dataset: whose split val is validated on.
-        preset: of the network.
-        changes: of the config.
-    """
-    config = replace(COMPLETION[preset], **changes)
-    parts = DrawnParts(config.parts_seed, config.parts, user_cache("drawn-parts"))
-    model = CompletionNet(config).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
-    return CompletionTask(DrawnViews(parts, config.d415_share), dataset, "val", model), config
+def completion_task(dataset: Dataset, preset: str, d415_share: float | None = None) -> CompletionTask:
+    """The task with new weights, validated on the split val. d415_share: instead of that of the preset."""
+    seed, share = PARTS[preset]
+    parts = DrawnParts(seed, PARTS_SHOWN, user_cache("drawn-parts"))
+    views = DrawnViews(parts, share if d415_share is None else d415_share)
+    return CompletionTask(views, dataset, "val", CompletionNet(UNetConfig(widths=(96, 128, 192, 256), blocks=2)))

@@ -5,8 +5,6 @@ B batch, n cells of a side with a border, m of a patch. Moves are yaw times LEVE
 
 from __future__ import annotations
 
-import io
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -16,15 +14,16 @@ from typing import NamedTuple
 import numpy as np
 import torch
 import torch.nn.functional as F
+from joblib import Memory
 from torch import Tensor
 
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
-from kit1000.files import write_bytes
 from kit1000.metrics import Targets, pose_errors
 from kit1000.metrics.pose_errors import nearest_goal_motions
+from kit1000.perception.networks.unet import UNetConfig
 from kit1000.perception.placement import CELL, CELLS, Channel
-from kit1000.perception.placement.network import LEVER, MIRRORED, PLACEMENT, PlacementConfig, PlacementNet
+from kit1000.perception.placement.network import LEVER, MIRRORED, PlacementNet
 from kit1000.pose import Pose
 from kit1000.queries.guesses import draw_ball_error
 from kit1000.queries.motions import apply_error
@@ -43,7 +42,6 @@ NEARER = 0.4  # share of the error of a user's guess from which fits for trainin
 BORDER = 8  # cells about a patch, which changes move into it
 LARGEST_SHIFT, LARGEST_ROTATION = 7e-3, 0.25  # [m] across, [rad] of a twist: a fit farther off is in another slot
 TRIES = 1000  # queries drawn in a row without a fit before the split counts as empty
-NONE = np.zeros(0, np.float32)
 IN_PLATE = slice(2, 5)
 """Yaw and shift of a twist; height and tilt are left as they are."""
 MM = np.array([LEVER, 1e3, 1e3], np.float32)
@@ -160,18 +158,10 @@ class PlacedFits:
     def of(self, query_id: str) -> PlacedFit | None:
         """The best fit of a query; None if there is none, and where it is in another slot."""
         if query_id not in self._kept:
-            self._kept[query_id] = self._read(query_id)
+            memory = Memory(self.folder, compress=True, verbose=0)
+            fit = memory.cache(_made, ignore=["fits"])(self, self.dataset.id, query_id)
+            self._kept[query_id] = fit  # pyright: ignore[reportArgumentType]
         return self._kept[query_id]
-
-    def _read(self, query_id: str) -> PlacedFit | None:
-        """The fit from its file, which is written if there is none yet."""
-        path = self.folder / f"{self.dataset.id}-{query_id}.npz"
-        if path.is_file():
-            return _decoded(path.read_bytes())
-        fit = self._made(replace(self.queries[query_id]))  # a copy: its image, once read, is kept with it
-        os.makedirs(self.folder, exist_ok=True)
-        write_bytes(path, _encoded(fit))
-        return fit
 
     def _nearer(self, query: Query) -> Query:
         """The query with a guess whose error is the share NEARER of a user's."""
@@ -182,7 +172,8 @@ class PlacedFits:
     def _truth_of(self, query: Query) -> Truth:
         return self.dataset.split(self.split, truth=True).scene(query.scene_id).truth_of(query.id)
 
-    def _made(self, query: Query) -> PlacedFit | None:
+    def made(self, query: Query) -> PlacedFit | None:
+        """The fit of a query, made anew."""
         scene, (clearance,) = self.registration.scene(query), self.registration.all_clearances
         ((part, image),) = scene.parts()
         assert image is not None
@@ -200,17 +191,9 @@ class PlacedFits:
         return PlacedFit(patch.channels.astype(np.float16), twist.astype(np.float32))
 
 
-def _encoded(fit: PlacedFit | None) -> bytes:
-    """As a compressed file of numpy, empty if there is no fit."""
-    file = io.BytesIO()
-    channels, twist = (NONE, NONE) if fit is None else (fit.channels, fit.twist)
-    np.savez_compressed(file, channels=channels, twist=twist)
-    return file.getvalue()
-
-
-def _decoded(content: bytes) -> PlacedFit | None:
-    with np.load(io.BytesIO(content), allow_pickle=False) as file:
-        return PlacedFit(file["channels"], file["twist"]) if len(file["twist"]) else None
+def _made(fits: PlacedFits, dataset_id: str, query_id: str) -> PlacedFit | None:
+    """The fit of a query; `dataset_id` tells datasets of one folder apart."""
+    return fits.made(replace(fits.queries[query_id]))  # a copy: its image, once read, is kept with it
 
 
 @dataclass
@@ -258,15 +241,11 @@ def _example(fit: PlacedFit, changes: Example) -> Example:
     return {"patch": fit.channels, "move": MM * fit.twist[IN_PLATE], **changes}
 
 
-def placement_task(
-    dataset: Dataset, preset: str, completion: Path, restoration: Path
-) -> tuple[PlacementTask, PlacementConfig]:
-    """The task with new weights, and the config of its network. completion, restoration: stems of weights."""
+def placement_task(dataset: Dataset, preset: str, completion: Path, restoration: Path) -> PlacementTask:
+    """The task with new weights. completion, restoration: stems of weights."""
     registration = Registration(
         dataset, completion=WEIGHTS / "completion", noisy_completion=completion, restoration=restoration
     )
     folder = dataset.root.with_name(f"{dataset.root.name}.fits")
     training, validation = (PlacedFits(registration, split, folder) for split in ("train", "val"))
-    config = PLACEMENT[preset]
-    model = PlacementNet(config).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
-    return PlacementTask(training, validation, model), config
+    return PlacementTask(training, validation, PlacementNet(UNetConfig(widths=(32, 48, 64))))

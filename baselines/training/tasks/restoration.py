@@ -23,7 +23,7 @@ from kit1000.perception.restoration.disparity import (
     labelled_inputs,
     unlabelled_inputs,
 )
-from kit1000.perception.restoration.restorer import RESTORATION, UNMASKED, Mixture, RestorationConfig, RestorationNet
+from kit1000.perception.restoration.restorer import Mixture, RestorationConfig, RestorationNet
 from kit1000.perception.restoration.rules import JUMP, calibrated_image, closed_gaps
 from kit1000.perception.sensor_facts import simulated_sensor
 from kit1000.rng import stream
@@ -43,6 +43,10 @@ Example = dict[str, np.ndarray]
 Sensing = Callable[[View, np.random.Generator], View]
 """What a sensor sees of an ideal view."""
 VALIDATION_SCENES = 30  # spread evenly over the validation split
+VIEWS = {"pretraining": (1500, 2029), "small": (3000, 2035), "measured": (30_000, 2048), "large": (30_000, 2048)}
+"""Number and seed of the views by preset, each from the weights of the one before, but `large` from none."""
+UNMASKED_VIEWS = {"small": (1500, 2029), "measured": (30_000, 2049)}
+"""The same without masks."""
 REACH = 7  # [px] from a jump of the truth, where a pixel counts as beside an edge
 FAR = 1.0  # [px] of disparity: a pixel that far from the truth shows another surface
 Batch = dict[str, Tensor]
@@ -55,8 +59,7 @@ class ViewCrops(ABC):
     STREAM: ClassVar[str]
     """Name of the random numbers."""
     dataset: Dataset
-    scenes: Sequence[str]
-    """Ids of those that are shown, all of the train split."""
+    """Dataset of the scenes that are shown, all of the train split."""
     seed: int
     count: int
     """Number of views."""
@@ -88,17 +91,18 @@ class SceneViews(ViewCrops):
 
     def crops(self, rng: np.random.Generator) -> list[Example]:
         """About pixels of the kits and of parts."""
-        image, depth = fresh_image(self.dataset, self.scenes, rng)
+        image, depth = fresh_image(self.dataset, rng)
         whole = example_of(image, depth, self.labelled)
         places = [body_pixel(image.labels, KITS_SHARE[self.labelled], rng) for _ in range(CROPS)]
         return [cropped_inputs(whole, box_about(*place)) for place in places]
 
 
 def fresh_image(
-    dataset: Dataset, scenes: Sequence[str], rng: np.random.Generator, measured: Sensing = noisy_view
+    dataset: Dataset, rng: np.random.Generator, measured: Sensing = noisy_view
 ) -> tuple[LabelledDepth, np.ndarray]:
-    """One of some scenes of the train split as a calibrated sensor sees it from a new place; (H, W) [m] true depths."""
-    scene = dataset.split("train", truth=True).scene(scenes[int(rng.integers(len(scenes)))])
+    """A scene of the train split as a calibrated sensor sees it from a new place; (H, W) [m] true depths."""
+    split = dataset.split("train", truth=True)
+    scene = split.scene(split.scene_ids[int(rng.integers(len(split.scene_ids)))])
     pose = draw_primary_pose(rng, crowded=bool(rng.random() < CROWDED_SHARE))
     frame = render(CAMERA, pose, scene.bodies(), threads=1)
     labels = np.where(frame.body_ids > 1, frame.body_ids - 2 + ASSEMBLY_LABEL, 0).astype(np.uint8)
@@ -179,7 +183,7 @@ class CropTask(ABC, Generic[Views]):
     dataset: Dataset
     split: str
     kept: dict[Key, Example] = field(default_factory=dict, kw_only=True)
-    """The validation examples, once they are made: an image takes longer to read than to measure."""
+    """The validation examples that are made already: an image takes longer to read than to measure."""
 
     @abstractmethod
     def recorded(self, scene_id: str) -> Recorded:
@@ -265,16 +269,9 @@ def mean_where(values: Tensor, where: Tensor) -> Tensor:
     return (values * where).sum((1, 2)) / where.sum((1, 2)).clamp(min=1)
 
 
-def restoration_task(dataset: Dataset, preset: str, labelled: bool = True) -> tuple[RestorationTask, RestorationConfig]:
-    """The task with new weights, and the config of its network. labelled: whether it reads masks."""
-    config = (RESTORATION if labelled else UNMASKED)[preset]
-    model = RestorationNet(config).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
-    scenes = dataset.split("train").scene_ids
-    views = SceneViews(
-        dataset=dataset,
-        scenes=scenes,
-        seed=config.views_seed,
-        count=config.views,
-        labelled=config.labelled,
-    )
-    return RestorationTask(views, dataset, "val", model), config
+def restoration_task(dataset: Dataset, preset: str, labelled: bool = True) -> RestorationTask:
+    """The task with new weights. labelled: whether its network reads masks."""
+    count, seed = (VIEWS if labelled else UNMASKED_VIEWS)[preset]
+    sizes = {"widths": (48, 72, 108, 144), "blocks": 2} if preset == "large" else {}
+    views = SceneViews(dataset=dataset, count=count, seed=seed, labelled=labelled)
+    return RestorationTask(views, dataset, "val", RestorationNet(RestorationConfig(labelled=labelled, **sizes)))

@@ -1,10 +1,9 @@
-"""The training task of segmentation: crops of new views; and the fit of the weights by which pieces are merged."""
+"""The training task of segmentation: crops of new views."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -24,27 +23,22 @@ from baselines.training.tasks.restoration import (
     fresh_image,
 )
 from kit1000.dataset.reader import Dataset
-from kit1000.numerics.linear_algebra import matmul
+from kit1000.perception.networks.unet import UNetConfig
 from kit1000.perception.restoration.disparity import cropped_inputs
 from kit1000.perception.restoration.restorer import Restorer
-from kit1000.perception.segmentation.instances import find_bodies, pieces_of
+from kit1000.perception.segmentation.instances import find_bodies
 from kit1000.perception.segmentation.part_finder import (
-    CENTRES,
     OFFSET_UNIT,
-    CentresConfig,
     CentresNet,
     Votes,
     inputs_between,
 )
-from kit1000.perception.segmentation.pieces import Pieces, best_pairs
-from kit1000.perception.sensor_facts import simulated_sensor
 from kit1000.values import FIRST_PART_LABEL, LabelledDepth, View
 
 KITS_SHARE = 0.05  # of the crops: about a pixel of the kits
 Batch = dict[str, Tensor]
-WHOLE = 300  # [px] from which on a piece counts in full
-RIDGE = 1.0  # penalty on the square of weights, each in units of its feature's spread
-ROUNDS = 30  # of Newton
+VIEWS = {"pretraining": (1500, 2030), "small": (2500, 2034), "measured": (30_000, 2050)}
+"""Number and seed of the views by preset, each from the weights of the one before."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +51,7 @@ class PartViews(ViewCrops):
 
     def crops(self, rng: np.random.Generator) -> list[Example]:
         """About pixels of parts, and some of the kits."""
-        image, _ = fresh_image(self.dataset, self.scenes, rng)
+        image, _ = fresh_image(self.dataset, rng)
         whole = _example(image.labels, image.view, self.restorer.without_masks(image.view, FACTS))
         return [cropped_inputs(whole, box_about(*body_pixel(image.labels, KITS_SHARE, rng))) for _ in range(CROPS)]
 
@@ -119,74 +113,8 @@ def _offsets(batch: Batch) -> Tensor:
     return torch.stack([batch["across"], batch["down"]], 1)
 
 
-def centres_task(dataset: Dataset, preset: str, restoration: Path) -> tuple[CentresTask, CentresConfig]:
-    """The task with new weights, and the config of its network. restoration: stem of weights, without masks."""
-    config = CENTRES[preset]
-    model = CentresNet(config).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
-    scenes = dataset.split("train").scene_ids
-    restorer = Restorer(restoration)
-    views = PartViews(
-        dataset=dataset,
-        scenes=scenes,
-        seed=config.views_seed,
-        count=config.views,
-        restorer=restorer,
-    )
-    return CentresTask(views, dataset, "val", model), config
-
-
-if TYPE_CHECKING:
-    from kit1000.perception.restoration.restorer import Restorer
-
-
-def fitted(data: Path, sensor: str, scenes: int, restorer: Restorer | None = None) -> np.ndarray:
-    """(f,) weights of the FEATURES, from the first scenes of the training split."""
-    split = Dataset(data).split("train")
-    rows: list[tuple[np.ndarray, bool, float]] = []
-    for scene_id in split.scene_ids[:scenes]:
-        image = split.scene(scene_id).labelled_depth(sensor)
-        bodies = find_bodies(image.view, simulated_sensor(sensor), restorer)
-        labels, joined, points, box = pieces_of(bodies)
-        if labels.max() == 0:
-            continue
-        counts = np.zeros((int(labels.max()) + 1, 256))
-        np.add.at(counts, (labels.ravel(), image.labels[box].ravel()), 1)
-        counts[:, :FIRST_PART_LABEL] = 0
-        _add_pairs(rows, Pieces.of(labels, joined, points, bodies.kind.segmentation.foot, 1.0), counts.argmax(1))
-    features, same, weights = (np.array(column, float) for column in zip(*rows, strict=True))
-    return logistic(features, same, weights)
-
-
-def _add_pairs(rows: list[tuple[np.ndarray, bool, float]], pieces: Pieces, part: np.ndarray) -> None:
-    """Add the pairs of each round when only pieces of one part merge, those with the least gap first."""
-    while True:
-        labels = list(pieces.by_label)
-        pairs = [(i, j) for n, i in enumerate(labels) for j in labels[n + 1 :] if pieces.near(i, j)]
-        features = [pieces.features(*pair) for pair in pairs]
-        same = [bool(part[i] == part[j]) for i, j in pairs]
-        for (i, j), row, is_same in zip(pairs, features, same, strict=True):
-            size = min(pieces.by_label[i].size, pieces.by_label[j].size)
-            rows.append((row, is_same, min(size, WHOLE) / WHOLE))
-        scores = np.array([50 - row[1] if is_same else -1.0 for row, is_same in zip(features, same, strict=True)])
-        chosen = best_pairs(pairs, scores)
-        if not chosen:
-            return
-        for i, j in chosen:
-            pieces.merge(i, j)
-
-
-def logistic(features: np.ndarray, positive: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """(f,) weights of a logistic regression on features (n, f), of which the first is 1."""
-    middle, spread = features.mean(0), np.maximum(features.std(0), 1e-9)
-    middle[0], spread[0] = 0, 1
-    scaled = (features - middle) / spread
-    solution = np.zeros(features.shape[1])
-    penalty = np.append(0.0, np.full(len(solution) - 1, RIDGE))
-    for _ in range(ROUNDS):
-        p = 1 / (1 + np.exp(-np.clip(matmul(scaled, solution[:, None])[:, 0], -30, 30)))
-        gradient = matmul((weights * (p - positive))[None], scaled)[0] + penalty * solution
-        slopes = matmul((scaled * (weights * p * (1 - p))[:, None]).T, scaled) + np.diag(penalty + 1e-9)
-        solution -= np.linalg.solve(slopes, gradient)
-    own = solution / spread
-    own[0] = solution[0] - (own[1:] * middle[1:]).sum()
-    return own
+def centres_task(dataset: Dataset, preset: str, restoration: Path) -> CentresTask:
+    """The task with new weights. restoration: stem of the weights of the network that restores images without masks."""
+    count, seed = VIEWS[preset]
+    views = PartViews(dataset=dataset, count=count, seed=seed, restorer=Restorer(restoration))
+    return CentresTask(views, dataset, "val", CentresNet(UNetConfig()))

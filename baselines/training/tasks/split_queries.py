@@ -14,7 +14,6 @@ from kit1000.errors import InputError, did_you_mean
 from kit1000.pose import Pose
 from kit1000.queries.guesses import draw_ball_error, draw_goal, draw_tilt_error
 from kit1000.queries.motions import apply_error, goal_motion, goal_pose
-from kit1000.queries.tracks import Sensor
 from kit1000.values import Query, Truth
 
 Guesses = Literal["ball", "tilt", "place"]
@@ -29,23 +28,21 @@ QueryAndTruth = tuple[Query, Truth]
 
 
 class SplitQueries:
-    """Queries of a split by one sensor. Files are read when first needed and cached; may be pickled and forked."""
+    """Queries of a split with exact depth. Files are read when first needed and cached; may be pickled and forked."""
 
-    def __init__(self, dataset: Dataset, split: str, sensor: Sensor = "ideal") -> None:
+    def __init__(self, dataset: Dataset, split: str) -> None:
         """Nothing is read yet.
 
         Args:
             dataset: with its ground truth.
             split: such as train or val.
-            sensor: of depth images and pivots.
         """
         self.dataset, self.split = dataset, split
-        self.sensor: Sensor = sensor
         self._split = dataset.split(split, truth=True)
         self._of_scene: Callable[[str], tuple[QueryAndTruth, ...]] = lru_cache(SCENES)(self._read)
 
-    def __reduce__(self) -> tuple[type[SplitQueries], tuple[Dataset, str, Sensor]]:
-        return SplitQueries, (self.dataset, self.split, self.sensor)
+    def __reduce__(self) -> tuple[type[SplitQueries], tuple[Dataset, str]]:
+        return SplitQueries, (self.dataset, self.split)
 
     def draw(self, rng: np.random.Generator, track: str) -> QueryAndTruth:
         """A query of a track; every scene has the same probability."""
@@ -77,8 +74,8 @@ class SplitQueries:
     def _read(self, scene_id: str) -> tuple[QueryAndTruth, ...]:
         """The queries of a scene, with their truths; they share its images and hold none in memory."""
         scene = self._split.scene(scene_id)
-        read_image = partial(self.dataset.labelled_depth, scene.shard, scene_id, self.sensor)
-        queries = (query for query in scene.queries if query.sensor == self.sensor)
+        read_image = partial(self.dataset.labelled_depth, scene.shard, scene_id, "ideal")
+        queries = (query for query in scene.queries if query.sensor == "ideal")
         return tuple((replace(query, read_image=read_image), scene.truth_of(query.id)) for query in queries)
 
 

@@ -24,7 +24,6 @@ from kit1000.perception.calibration.table import (
     PLANE_REACH,
     Plane,
     correlated_in,
-    flattened,
     ground,
     plane_coefficients,
     rays,
@@ -217,26 +216,15 @@ class CameraEstimate:
         return matmul(pose.rotation_matrix(), np.column_stack([turned, np.eye(3), -seen]))
 
 
-def calibrated(
-    view: View,
-    labels: np.ndarray,
-    flat: bool = False,
-    borders: Sequence[OutlineEdge] = OUTLINE,
-    reach: float = PLANE_REACH,
-    correlated: float = BENT,
-) -> View:
+def calibrated(view: View, labels: np.ndarray, borders: Sequence[OutlineEdge] = OUTLINE) -> View:
     """The view with the camera pose and the depths that its table gives it.
 
     Args:
         view: as recorded by a noisy sensor.
         labels: (H, W) uint8 masks, see `kit1000.values.LabelledDepth`; 0 for the table or nothing.
-        flat: put the pixels of the table exactly on its plane; those without a return get one.
         borders: of the table that are used as well as its plane.
-        reach: [m] from the recorded plane, of pixels that may show it.
-        correlated: how many of the pixels that enter the plane count as one.
     """
-    corrected = camera_estimate(view, labels, borders, reach, correlated).view
-    return flattened(corrected, labels) if flat and corrected is not view else corrected
+    return camera_estimate(view, labels, borders, PLANE_REACH, BENT).view
 
 
 def calibrated_by(view: View, labels: np.ndarray, sensor: SensorFacts) -> View:
@@ -252,7 +240,10 @@ def camera_estimate_by(view: View, labels: np.ndarray, sensor: SensorFacts) -> C
 def camera_estimate(
     view: View, labels: np.ndarray, borders: Sequence[OutlineEdge], reach: float, correlated: float
 ) -> CameraEstimate:
-    """The camera of a view, see `calibrated`; as recorded where too little of the table is seen."""
+    """The camera of a view, see `calibrated`; as recorded where too little of the table is seen.
+
+    reach: [m] from the recorded plane, of pixels that may show it. correlated: how many of its pixels count as one.
+    """
     labels = checked("labels", labels, view.depth.shape, np.uint8)
     plane = table_plane(view, labels, reach, correlated)
     if plane is None:

@@ -6,7 +6,6 @@ The network takes the seen heights of a plate to how likely each layer of a hidd
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,7 +19,7 @@ from trimesh.util import append_faces
 
 from kit1000.mesh import Mesh
 from kit1000.perception.networks.inference import on_cpu, on_grid, with_mirror
-from kit1000.perception.networks.unet import UNet
+from kit1000.perception.networks.unet import UNet, UNetConfig
 from kit1000.perception.observed.columns import MaskedView, ObservedColumns
 from kit1000.perception.observed.kits import (
     CELL,
@@ -49,48 +48,11 @@ LEAST_CELLS = 10  # of a hidden region: smaller ones are cells that a rim crosse
 FACE_BORDER = 2  # cells of the border of the face, in which its edge lies
 
 
-@dataclass(frozen=True)
-class KitCompletionConfig:
-    """Sizes of the network, and what its examples show."""
-
-    widths: tuple[int, ...] = (32, 48, 72, 96)
-    """Channels at each resolution, from 40 x 40 pixels, each half the one before."""
-    blocks: int = 1
-    """Residual blocks at each resolution, on the way down and on the way up."""
-    views: int = 14_000
-    """Fresh views that the training examples show, mirrored or not."""
-    drawn_share: float = 0.5
-    """Share of the views with a kit cut for a newly sampled part instead of one of the train split."""
-    drawn_kits: int = 3000
-    """Number of these newly cut kits."""
-    stretched_share: float = 0.75
-    """Share of the views with their kit stretched."""
-    views_seed: int = 2034
-    """Seed of views and kits."""
-    sensor_model: int = 1
-    """Data version of the sensors that made the training examples: 1 or 2; training makes those of 2."""
-
-
-KIT_COMPLETION = {
-    "small": KitCompletionConfig(sensor_model=2),
-    "pretraining": KitCompletionConfig(
-        views=12_000, drawn_share=0.75, drawn_kits=3000, stretched_share=0.0, views_seed=2032, sensor_model=2
-    ),
-    "pretraining-2": KitCompletionConfig(
-        views=10_000, drawn_share=0.25, drawn_kits=600, stretched_share=0.0, views_seed=2033, sensor_model=2
-    ),
-    "measured": KitCompletionConfig(views_seed=2052, sensor_model=2),
-}
-"""Runs, each from the weights of the one before: `pretraining` sees more kinds of kits than those of datasets,
-`pretraining-2` mostly theirs, `small` and `measured` fresh and stretched ones of both."""
-
-
 class KitCompletionNet(UNet):
     """The seen heights of a plate to logits of its layers of 1 mm being free."""
 
-    def __init__(self, config: KitCompletionConfig) -> None:
-        super().__init__(PACK * PACK * MAPS + EXTRA, PACK * PACK * DEEPEST, config.widths, config.blocks)
-        self.config = config
+    def __init__(self, config: UNetConfig) -> None:
+        super().__init__(PACK * PACK * MAPS + EXTRA, PACK * PACK * DEEPEST, config)
 
     def forward(self, least: Tensor, seen: Tensor, camera: Tensor) -> Tensor:
         """(B, DEEPEST, x, y) logits of layers being free, the highest first; arguments: see `SeenHeights`."""
@@ -142,7 +104,7 @@ class KitCompleter:
 
     def __init__(self, weights: Path | KitCompletionNet) -> None:
         """weights: stem of the files, or the network itself."""
-        self.net = on_cpu(weights, KitCompletionConfig, KitCompletionNet, fold=False)
+        self.net = on_cpu(weights, UNetConfig, KitCompletionNet, fold=False)
 
     def __call__(self, heights: SeenHeights) -> CompletedHeights:
         """The heights with likely depths of its hidden cells, never above what is seen free.

@@ -23,7 +23,7 @@ from kit1000.camera import Camera
 from kit1000.numerics.compiled import compiled
 from kit1000.perception.calibration import flattened
 from kit1000.perception.networks.inference import on_cpu, on_grid
-from kit1000.perception.networks.unet import UNet
+from kit1000.perception.networks.unet import UNet, UNetConfig
 from kit1000.perception.observed.columns import ObservedColumns
 from kit1000.perception.observed.parts import ObservedPart, PartBounds
 from kit1000.perception.observed.pixels import cropped, pixel_points
@@ -186,39 +186,12 @@ def _camera(view: View, grid: Grid) -> np.ndarray:
     return np.array([np.arccos(towards[2] / distance), distance], np.float32)
 
 
-@dataclass(frozen=True)
-class CompletionConfig:
-    """Sizes of the network."""
-
-    widths: tuple[int, ...] = (96, 128, 192, 256)
-    """Channels at each resolution, from 40 x 40 pixels, each half the one before."""
-    blocks: int = 2
-    """Residual blocks at each resolution, on the way down and on the way up."""
-    parts: int = 20_000
-    """Fresh parts that the training examples show."""
-    parts_seed: int = 2026
-    """Seed of these parts."""
-    d415_share: float = 0.35
-    """Share of the training examples that the d415 measures; the others are ideal."""
-    sensor_model: int = 1
-    """Data version of the sensors that made the training examples: 1 or 2; training makes those of 2."""
-
-
-COMPLETION = {
-    "small": CompletionConfig(parts_seed=2027, d415_share=0.0, sensor_model=2),
-    "pretraining": CompletionConfig(sensor_model=2),
-    "measured": CompletionConfig(parts_seed=2051, sensor_model=2),
-}
-"""`small` starts from the weights of `pretraining`, `measured` of noisy parts from those of `small`."""
-
-
 class CompletionNet(UNet):
     """Evidence about a part to the logit of each cell being filled."""
 
-    def __init__(self, config: CompletionConfig) -> None:
+    def __init__(self, config: UNetConfig) -> None:
         layers = PACK * PACK * SHAPE[2]
-        super().__init__(layers + EXTRA, layers, config.widths, config.blocks)
-        self.config = config
+        super().__init__(layers + EXTRA, layers, config)
 
     def forward(self, codes: Tensor, camera: Tensor) -> Tensor:
         """Logits of the cells.
@@ -322,7 +295,7 @@ class PartCompleter:
 
     def __init__(self, weights: Path | CompletionNet) -> None:
         """weights: stem of the files, or the network itself."""
-        self.net = on_cpu(weights, CompletionConfig, CompletionNet, fold=False)
+        self.net = on_cpu(weights, UNetConfig, CompletionNet, fold=False)
 
     def __call__(self, part: FramedPart) -> FillLogits:
         """The mean of the logits of the input and of its mirror image; cells that are seen free are not filled."""

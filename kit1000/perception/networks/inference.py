@@ -13,14 +13,20 @@ from kit1000.errors import InputError
 from kit1000.perception.networks.unet import folded, in_float64
 from kit1000.perception.networks.weight_files import load_into, load_weights
 
+FORMER = frozenset(
+    ("views", "views_seed", "parts", "parts_seed", "d415_share", "drawn_share", "drawn_kits", "stretched_share")
+    + ("sensor_model", "level", "weight", "flag", "candidates")
+)
+"""Values that files of weights name from when configs had them: of training alone, or the same in all networks."""
+
 
 def ready(net: Any, config: type, make: type) -> Any:
     """A network in evaluation mode, read from its weights if a path is given.
 
     Args:
         net: the network, or the stem of its weights.
-        config: the class of its config, a flat dataclass whose values the file of weights names; values that an older
-            file does not name have their defaults.
+        config: the class of its config, a flat dataclass. The file of weights names its values; those that an older
+            file lacks have their defaults, and those that it has beside them are FORMER ones.
         make: the network's class, called with a config.
 
     Raises:
@@ -29,7 +35,8 @@ def ready(net: Any, config: type, make: type) -> Any:
     if not isinstance(net, Path):
         return net.eval()
     tensors, info = load_weights(net)
-    values = info.get("about", {}).get("network", {})
+    about = info.get("about", {}).get("network", {})
+    values = {name: value for name, value in about.items() if name not in FORMER}
     needed = {field.name for field in fields(config) if field.default is MISSING}
     differing = (set(values) - {field.name for field in fields(config)}) | (needed - set(values))
     if differing:

@@ -5,8 +5,8 @@ B batch, C channels; features are (B, C, x, y), channels last in memory.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from copy import deepcopy
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import TypeVar
 
@@ -18,15 +18,26 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 Net = TypeVar("Net", bound="UNet")
 
 
+@dataclass(frozen=True)
+class UNetConfig:
+    """Sizes of a U-Net."""
+
+    widths: tuple[int, ...] = (32, 48, 72, 96)
+    """Channels at each resolution, each half the one before."""
+    blocks: int = 1
+    """Residual blocks at each resolution, on the way down and on the way up."""
+
+
 class UNet(nn.Module):
     """A U-Net of residual blocks."""
 
     ENDS = ("stem", "head")
     """Layers that are no hidden ones, for the optimiser."""
 
-    def __init__(self, inputs: int, outputs: int, widths: Sequence[int], blocks: int) -> None:
-        """Channels of its input, of its output and at each resolution; residual blocks at each, on each way."""
+    def __init__(self, inputs: int, outputs: int, config: UNetConfig) -> None:
+        """inputs, outputs: channels."""
         super().__init__()
+        self.config, widths, blocks = config, config.widths, config.blocks
         self.stem = nn.Conv2d(inputs, widths[0], 3, padding=1)
         self.down = nn.ModuleList(_blocks(width, blocks) for width in widths)
         pairs = list(pairwise(widths))

@@ -39,7 +39,7 @@ def observed_distance(grid: Grid, images: Sequence[MaskedView]) -> Volume:
     """The projective truncated signed distance of the voxels of a grid, NaN where no image knows it.
 
     Free is what any image shows to be free: the distance is then the least of those that do. Behind all surfaces the
-    nearest one counts. A mean, as of `kit1000.voxels.fuse`, would fill space that is seen from the side.
+    nearest one counts. A mean would fill space that is seen from the side.
     """
     first, *others = (tsdf(grid, image.view, image.mask, threads=1) for image in images)
     if not others:

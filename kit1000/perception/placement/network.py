@@ -9,7 +9,6 @@ B batch, n cells of a side; features are (B, C, x, y), channels last in memory.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +17,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from kit1000.perception.networks.inference import on_cpu, on_grid
-from kit1000.perception.networks.unet import UNet
+from kit1000.perception.networks.unet import UNet, UNetConfig
 from kit1000.perception.placement import Channel
 
 LEVER = 20.0  # [mm] by which yaws [rad] are lengths too
@@ -39,25 +38,11 @@ MIRRORED = np.array([-1.0, 1.0, -1.0])
 """Signs of a move when left and right are exchanged."""
 
 
-@dataclass(frozen=True)
-class PlacementConfig:
-    """Sizes of the network."""
-
-    widths: tuple[int, ...] = (32, 48, 64)
-    """Channels at each resolution, from a pixel of POOLED cells, each half the one before."""
-    blocks: int = 1
-    """Residual blocks at each resolution, on the way down and on the way up."""
-
-
-PLACEMENT = {"small": PlacementConfig()}
-
-
 class PlacementNet(UNet):
     """A patch to the move of its fit."""
 
-    def __init__(self, config: PlacementConfig) -> None:
-        super().__init__(INPUTS, OUTPUTS, config.widths, config.blocks)
-        self.config = config
+    def __init__(self, config: UNetConfig) -> None:
+        super().__init__(INPUTS, OUTPUTS, config)
         torch.nn.init.zeros_(self.head.weight)  # at first plain least squares
         if self.head.bias is not None:
             torch.nn.init.zeros_(self.head.bias)
@@ -151,7 +136,7 @@ class Placer:
 
     def __init__(self, weights: Path | PlacementNet) -> None:
         """weights: stem of the files, or the network itself."""
-        self.net = on_cpu(weights, PlacementConfig, PlacementNet, exact=True)
+        self.net = on_cpu(weights, UNetConfig, PlacementNet, exact=True)
 
     def __call__(self, channels: np.ndarray) -> np.ndarray:
         """(3,) yaw [rad] and shift along x and y [m] of the fit of a patch (Channel, n, n), in its frame.

@@ -24,7 +24,7 @@ from torch import Tensor
 
 from kit1000.perception.calibration import flattened
 from kit1000.perception.networks.inference import on_cpu, on_grid, ready
-from kit1000.perception.networks.unet import UNet
+from kit1000.perception.networks.unet import UNet, UNetConfig
 from kit1000.perception.restoration.disparity import (
     Box,
     Inputs,
@@ -40,7 +40,7 @@ from kit1000.perception.sensor_facts import SensorFacts, simulated_sensor
 from kit1000.values import LabelledDepth, View
 
 PACK = 2  # pixels along each side that are channels of one pixel of the network
-MAPS, SLOPES = 4, 2  # channels: of a pixel; of the table's plane
+MAPS, PLANE = 4, 3  # channels: of a pixel; two slopes of the table's plane and the level of noise
 SIDE = PACK * 8  # [px] of which sides of images are multiples
 DISPARITY_UNIT = 4.0  # [px] of a disparity of 1 in the input
 SLOPE_UNIT = 0.05  # [px/px] of a slope of 1
@@ -56,42 +56,11 @@ SURE_DECIMALS = 6  # of that probability: the last digits of exponentials depend
 
 
 @dataclass(frozen=True)
-class RestorationConfig:
-    """Sizes of the network."""
+class RestorationConfig(UNetConfig):
+    """Sizes of the network, and what it reads."""
 
-    widths: tuple[int, ...] = (32, 48, 72, 96)
-    """Channels at each resolution, from half the image's, each half the one before."""
-    blocks: int = 1
-    """Residual blocks at each resolution, on the way down and on the way up."""
     labelled: bool = True
     """Whether it reads masks; without them it says where bodies end."""
-    level: bool = False
-    """Whether it reads how noisy the image is."""
-    sensor_model: int = 1
-    """Data version of the sensors that made the training examples: 1 or 2; training makes those of 2."""
-    views: int = 1500
-    """Fresh views of scenes, of which the training examples are crops."""
-    views_seed: int = 2029
-    """Seed of these views."""
-
-
-RESTORATION = {
-    "small": RestorationConfig(level=True, sensor_model=2, views=3000, views_seed=2035),
-    "pretraining": RestorationConfig(level=True, sensor_model=2),
-    "measured": RestorationConfig(level=True, sensor_model=2, views=30_000, views_seed=2048),
-    "large": RestorationConfig((48, 72, 108, 144), 2, level=True, sensor_model=2, views=30_000, views_seed=2048),
-}
-"""`small` starts from the weights of `pretraining`, `measured` from those of `small`, `large` from none."""
-UNMASKED = {
-    "small": RestorationConfig(labelled=False, level=True, sensor_model=2),
-    "measured": RestorationConfig(labelled=False, level=True, sensor_model=2, views=30_000, views_seed=2049),
-}
-"""`measured` starts from the weights of `small`."""
-HOLES = {
-    "small": RestorationConfig(level=True, sensor_model=2, views=2000, views_seed=2062),
-    "pretraining": RestorationConfig(level=True, sensor_model=2, views=2500, views_seed=2061),
-}
-"""For holes in a scanner's image; `small` starts from the weights of `pretraining`."""
 
 
 class Mixture(NamedTuple):
@@ -130,13 +99,10 @@ class RestorationNet(UNet):
     """Measured disparities to a mixture a pixel."""
 
     def __init__(self, config: RestorationConfig) -> None:
-        super().__init__(PACK * PACK * MAPS + SLOPES + config.level, PACK * PACK * 5, config.widths, config.blocks)
-        self.config = config
+        super().__init__(PACK * PACK * MAPS + PLANE, PACK * PACK * 5, config)
         torch.nn.init.zeros_(self.head.weight)  # at first the measured disparities
 
-    def forward(
-        self, disparity: Tensor, returned: Tensor, labels: Tensor, slope: Tensor, level: Tensor | None = None
-    ) -> Mixture:
+    def forward(self, disparity: Tensor, returned: Tensor, labels: Tensor, slope: Tensor, level: Tensor) -> Mixture:
         """The mixture of each pixel.
 
         Args:
@@ -144,15 +110,11 @@ class RestorationNet(UNet):
             returned: (B, H, W) bool.
             labels: (B, H, W) uint8: 0 the table, 1 the kits, 2 a part; 0 everywhere without masks.
             slope: (B, 2) [px/px] of the disparity of the table's plane, across and down.
-            level: (B, 1) [px] how noisy the image is, see `disparity.noise_level`; needed if the config says so.
+            level: (B, 1) [px] how noisy the image is, see `disparity.noise_level`.
         """
         scaled = disparity / DISPARITY_UNIT
         maps = torch.stack([scaled, returned.to(scaled.dtype), *((labels == k).to(scaled.dtype) for k in (1, 2))], 1)
-        plane = slope / SLOPE_UNIT
-        if self.config.level:
-            assert level is not None, "this network reads how noisy the image is"
-            plane = torch.cat([plane, level / LEVEL_UNIT], 1)
-        plane = plane[:, :, None, None]
+        plane = torch.cat([slope / SLOPE_UNIT, level / LEVEL_UNIT], 1)[:, :, None, None]
         packed = F.pixel_unshuffle(maps, PACK)
         inputs = torch.cat([packed, plane.expand(-1, -1, *packed.shape[2:])], 1)
         out = F.pixel_shuffle(self.image(inputs.contiguous(memory_format=torch.channels_last)), PACK).float()

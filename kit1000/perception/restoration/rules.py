@@ -117,18 +117,18 @@ def close_gaps(depth: np.ndarray, mask: np.ndarray, columns: bool = False) -> No
     columns: whether the farthest depth of all four sides counts, with those along a column.
     """
     known = mask & (depth > 0)
-    farther = _farther(depth, known)
+    farther = farther_sides(depth, known, GAP)
     if columns:
-        farther = np.maximum(farther, _farther(depth.T, known.T).T)
+        farther = np.maximum(farther, farther_sides(depth.T, known.T, GAP).T)
     depth[mask & ~known] = farther[mask & ~known]
 
 
-def _farther(depth: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """(H, W) [m]: the farther of the nearest known depths of a row on either side, at most GAP away; 0 without any."""
+def farther_sides(depth: np.ndarray, known: np.ndarray, gap: int) -> np.ndarray:
+    """(H, W) [m]: the farther of the nearest known depths of a row on either side, at most `gap` px away; 0 without."""
     columns = np.arange(depth.shape[1])
-    left = np.maximum.accumulate(np.where(known, columns, -GAP - 1), axis=1)
-    right = np.minimum.accumulate(np.where(known, columns, len(columns) + GAP)[:, ::-1], axis=1)[:, ::-1]
-    sides = [np.where(np.abs(side - columns) <= GAP, side, -1) for side in (left, right)]
+    left = np.maximum.accumulate(np.where(known, columns, -gap - 1), axis=1)
+    right = np.minimum.accumulate(np.where(known, columns, len(columns) + gap)[:, ::-1], axis=1)[:, ::-1]
+    sides = [np.where(np.abs(side - columns) <= gap, side, -1) for side in (left, right)]
     rows = np.arange(len(depth))[:, None]
     return np.maximum(*(np.where(side >= 0, depth[rows, side], 0) for side in sides))
 

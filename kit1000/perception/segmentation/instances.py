@@ -10,6 +10,7 @@ from scipy.ndimage import find_objects, label, uniform_filter
 from kit1000.numerics.linear_algebra import matmul
 from kit1000.perception.calibration import calibrated_by
 from kit1000.perception.image_kinds import ImageKind
+from kit1000.perception.restoration.rules import farther_sides
 from kit1000.perception.segmentation.pieces import Pieces, find_pieces, merged
 from kit1000.perception.sensor_facts import SensorFacts, simulated_sensor
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, View
@@ -133,13 +134,9 @@ def world_points(view: View) -> np.ndarray:
 
 def without_shadows(view: View) -> View:
     """The view with gaps of up to SHADOW on either side closed along rows by the farther of the two depths."""
-    depth, known = view.depth, view.depth > 0
-    columns, rows = np.arange(depth.shape[1]), np.arange(depth.shape[0])[:, None]
-    left = np.maximum.accumulate(np.where(known, columns, -SHADOW - 1), axis=1)
-    right = np.minimum.accumulate(np.where(known, columns, len(columns) + SHADOW)[:, ::-1], axis=1)[:, ::-1]
-    near = [np.where(np.abs(columns - side) <= SHADOW, side, -1) for side in (left, right)]
-    farther = np.maximum(*(np.where(side >= 0, depth[rows, side], 0) for side in near))
-    return View(view.camera, view.world_from_camera, np.where(known, depth, farther))
+    known = view.depth > 0
+    depth = np.where(known, view.depth, farther_sides(view.depth, known, SHADOW))
+    return View(view.camera, view.world_from_camera, depth)
 
 
 def segmented(

@@ -6,7 +6,6 @@ fill at their own distance, so a scene of another size looks alike from a distan
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,7 +16,7 @@ from scipy.ndimage import gaussian_filter, maximum_filter
 from torch import Tensor
 
 from kit1000.perception.networks.inference import on_cpu, on_grid
-from kit1000.perception.networks.unet import UNet
+from kit1000.perception.networks.unet import UNet, UNetConfig
 from kit1000.perception.restoration.disparity import Box, Inputs, cropped_inputs, median_of_shifts, padded_box
 from kit1000.perception.segmentation.instances import Bodies, on_far_half
 from kit1000.values import View
@@ -36,30 +35,6 @@ LOGIT_STEP = 1 / 64  # the same of the logits
 ON_BODIES = 0.5  # least share of a part's pixels that lie on bodies: elsewhere noise looks like one
 
 
-@dataclass(frozen=True)
-class CentresConfig:
-    """Sizes of the network."""
-
-    widths: tuple[int, ...] = (32, 48, 72, 96)
-    """Channels at each resolution, from half the image's, each half the one before."""
-    blocks: int = 1
-    """Residual blocks at each resolution, on the way down and on the way up."""
-    views: int = 1500
-    """Fresh views of scenes, of which the training examples are crops."""
-    views_seed: int = 2030
-    """Seed of these views."""
-    sensor_model: int = 1
-    """Data version of the sensors that made the training examples: 1 or 2; training makes those of 2."""
-
-
-CENTRES = {
-    "small": CentresConfig(views=2500, views_seed=2034, sensor_model=2),
-    "pretraining": CentresConfig(sensor_model=2),
-    "measured": CentresConfig(views=30_000, views_seed=2050, sensor_model=2),
-}
-"""`small` starts from the weights of `pretraining`, `measured` from those of `small`."""
-
-
 class Votes(NamedTuple):
     """What each pixel says."""
 
@@ -72,9 +47,8 @@ class Votes(NamedTuple):
 class CentresNet(UNet):
     """Heights to votes."""
 
-    def __init__(self, config: CentresConfig) -> None:
-        super().__init__(PACK * PACK * MAPS + DIRECTIONS, PACK * PACK * 3, config.widths, config.blocks)
-        self.config = config
+    def __init__(self, config: UNetConfig) -> None:
+        super().__init__(PACK * PACK * MAPS + DIRECTIONS, PACK * PACK * 3, config)
 
     def forward(self, measured: Tensor, restored: Tensor, returned: Tensor, up: Tensor) -> Votes:
         """The votes of each pixel.
@@ -150,7 +124,7 @@ class PartFinder:
 
     def __init__(self, weights: Path | CentresNet) -> None:
         """weights: stem of the files, or the network itself."""
-        self.net = on_cpu(weights, CentresConfig, CentresNet)
+        self.net = on_cpu(weights, UNetConfig, CentresNet)
 
     def __call__(self, bodies: Bodies) -> np.ndarray:
         """(H, W) int: from 1 on the pixels of each part of an image, 0 elsewhere."""

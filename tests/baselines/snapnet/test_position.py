@@ -226,25 +226,6 @@ def test_an_offset_within_half_a_cell_of_the_edge_counts_as_the_edge() -> None:
     assert beyond.item() == pytest.approx(-scores.flatten(1).log_softmax(1).view_as(scores)[0, 5, 3, 0].item())
 
 
-def test_the_distance_weight_grows_with_the_error_and_is_0_without_one() -> None:
-    config = replace(LOSS, target="cell", weight="distance")
-    scores = torch.zeros(1, *LOSS.window)
-    scores[0, 3, 3, 4] = 4
-    assert position_loss(scores, cells(LOSS, 0.2, -0.3, 0.4), config).item() == 0
-    far = cells(LOSS, 2, 3, -4)
-    factor = math.expm1(math.sqrt(29) / math.sqrt(6**2 + 7**2 + 8**2))
-    even = position_loss(scores, far, replace(config, weight="even"))
-    assert position_loss(scores, far, config).item() == pytest.approx(factor * even.item(), rel=1e-5)
-
-
-def test_the_distance_weight_has_no_gradient() -> None:
-    config = replace(LOSS, target="cell", weight="distance")
-    scores = torch.randn(1, *LOSS.window, requires_grad=True)
-    losses = [position_loss(scores, cells(LOSS, 2, 3, -4), each) for each in (config, replace(config, weight="even"))]
-    weighted, even = (torch.autograd.grad(loss.sum(), scores)[0] for loss in losses)
-    assert torch.allclose(weighted, even * (losses[0] / losses[1]).item(), atol=1e-7)
-
-
 def balls(config: PositionConfig, offsets: Tensor) -> tuple[Tensor, Tensor]:
     """Balls of different radii: in the middle of part volumes, and at offsets (B, 3) [voxels] in kit volumes."""
     volumes = []
@@ -275,9 +256,8 @@ def test_the_network_names_no_device() -> None:
     """It runs on torch's meta device, which refuses tensors of any other."""
     net, part, kit = toy()
     net, part, kit = net.to("meta"), part.to("meta"), kit.to("meta")
-    for weight in ("even", "distance"):
-        scores = net(part, kit)
-        assert scores.device.type == position_of(scores, TOY).device.type == "meta"
-        loss = position_loss(scores, torch.zeros(2, 3, device="meta"), replace(TOY, weight=weight))
-        assert loss.device.type == "meta"
-        loss.mean().backward()
+    scores = net(part, kit)
+    assert scores.device.type == position_of(scores, TOY).device.type == "meta"
+    loss = position_loss(scores, torch.zeros(2, 3, device="meta"), TOY)
+    assert loss.device.type == "meta"
+    loss.mean().backward()

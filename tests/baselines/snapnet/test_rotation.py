@@ -166,7 +166,7 @@ def test_a_set_abstraction_ignores_the_order_of_members_and_a_shift_of_the_scene
     torch.testing.assert_close(level(points + torch.tensor([3.0, -2, 1, 0.5]), None, groups), result)
 
 
-@pytest.mark.parametrize("config", [TOY, replace(TOY, flag="release", centres=(25, 9), kit_distance=False)])
+@pytest.mark.parametrize("config", [TOY, replace(TOY, centres=(25, 9), kit_distance=False)])
 def test_logits_are_those_of_a_plain_network_with_the_same_weights(config):
     net = random_net(config)
     part, kit, rotations, volume = scene(config)
@@ -249,13 +249,11 @@ def test_gradients_are_those_of_finite_differences():
     assert torch.autograd.gradcheck(lambda x: level(points, x, groups), (features,))
 
 
-def test_the_loss_is_cross_entropy_with_the_releases_weight_as_an_option():
+def test_the_loss_is_cross_entropy():
     logits, correct = torch.tensor([[2.0, 0, 1], [0, 3, 0]]), torch.tensor([2, 1])
     angles = torch.tensor([[0.3, 0.2, 0.0], [0.1, 0.0, 0.4]])
     plain = -logits.log_softmax(1)[[0, 1], correct]
     torch.testing.assert_close(rotation_loss(logits, correct, angles, TOY), plain)
-    weighted = rotation_loss(logits, correct, angles, replace(TOY, weight="distance"))
-    torch.testing.assert_close(weighted, plain * torch.tensor([np.e - 1, 0.0], dtype=torch.float32))
 
 
 def test_a_gaussian_of_the_angle_minimises_the_loss_of_a_spread_target():

@@ -1,4 +1,4 @@
-"""The training loop: it learns, resumes after any kill with the same results, and depends on no worker."""
+"""The training loop: it learns, resumes after any stop or kill with the same results, and depends on no worker."""
 
 from __future__ import annotations
 
@@ -54,6 +54,9 @@ class Product:
     model: Any = field(default_factory=lambda: network(0.2))
     dies_at: int | None = None
     """Number of losses after which it raises Killed."""
+    signal_at: tuple[int, ...] = ()
+    """Losses at which a signal comes, one for each mention."""
+    number: int = signal.SIGINT
     losses: int = 0
     measured: list[float] = field(default_factory=list)
     """The measure of each validation, for ScriptedMeasure."""
@@ -72,6 +75,8 @@ class Product:
         if self.losses == self.dies_at:
             raise Killed
         self.losses += 1
+        for _ in range(self.signal_at.count(self.losses)):
+            os.kill(os.getpid(), self.number)
         return (self.model(batch["x"]) - batch["y"]).square().mean()
 
     def measure(self, batch: Batch) -> Batch:
@@ -381,3 +386,75 @@ def test_a_killed_process_resumes_to_the_bit(tmp_path: Path) -> None:
     assert ended(torn) == [-signal.SIGKILL]
     assert ended(process(tmp_path / "torn", config), process(tmp_path / "uninterrupted", config)) == [0, 0]
     assert results(tmp_path / "torn") == results(tmp_path / "uninterrupted")
+
+
+WATCHED = replace(CONFIG, validate_every=6, checkpoint_every=250)
+
+
+def step_kept(folder: Path) -> int:
+    return read_state(folder / "checkpoint.pt")["progress"]["step"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("workers", [0, 1])
+def test_a_signal_writes_a_checkpoint_at_the_step_that_it_meets(
+    number: int, workers: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = replace(WATCHED, workers=workers)
+    train(Product(), config, tmp_path / "whole", device=CPU)
+    with pytest.raises(KeyboardInterrupt):
+        train(Product(signal_at=(4,), number=number), config, tmp_path / "parts", device=CPU)
+    assert step_kept(tmp_path / "parts") == 4
+    told = capsys.readouterr().err
+    assert "stopping after this step, with a checkpoint" in told
+    assert "the same command continues from step 4" in told
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    result = train(Product(), config, tmp_path / "parts", device=CPU)
+    assert (result.stopped_by, result.step) == ("steps", 12)
+    assert results(tmp_path / "parts") == results(tmp_path / "whole")
+
+
+def test_a_second_signal_stops_at_once_and_says_from_where_it_goes_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        train(Product(signal_at=(5, 5)), replace(WATCHED, checkpoint_every=3), tmp_path, device=CPU)
+    assert step_kept(tmp_path) == 3
+    assert "the same command continues from step 3" in capsys.readouterr().err
+
+
+def test_a_log_file_gets_a_line_for_each_validation(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    train(Product(), WATCHED, tmp_path, device=CPU)
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("training: step")]
+    assert [line.split(",")[0] for line in lines] == ["training: step 6 of 12", "training: step 12 of 12"]
+    assert all(", error " in line for line in lines)
+
+
+@pytest.mark.parametrize("name", ["log.jsonl", "best.json", "curve.svg", "checkpoint.pt"])
+def test_files_of_another_origin_are_never_replaced(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text("mine")
+    with pytest.raises(
+        InputError, match=rf"holds {name}, but no config.json of a run; it stays: choose another folder"
+    ):
+        train(Product(), CONFIG, tmp_path, device=CPU)
+    assert (tmp_path / name).read_text() == "mine"
+
+
+def test_the_learning_rate_rises_then_falls() -> None:
+    config = TrainConfig(steps=110, warmup=10, learning_rate=1.0)
+    rates = [config.learning_rate_at(step) for step in range(110)]
+    assert rates[:11] == pytest.approx([(i + 1) / 11 for i in range(10)] + [1.0])
+    assert rates[60] == pytest.approx(0.5)
+    assert np.all(np.diff(rates[10:]) < 0)
+    assert 0 < rates[-1] < 1e-3
+    assert replace(config, decay="linear").learning_rate_at(85) == pytest.approx(0.25)
+    assert replace(config, decay="none").learning_rate_at(109) == 1.0
+
+
+INVALID = {"steps": 0, "batch": -1, "learning_rate": 0.0, "ema_decay": 1.0, "clip": 0.0, "workers": -1}
+
+
+@pytest.mark.parametrize(("name", "value"), INVALID.items())
+def test_invalid_numbers_are_refused(name: str, value: Any) -> None:
+    with pytest.raises(InputError, match=f"{name}: expected"):
+        TrainConfig(**{name: value})

@@ -124,20 +124,20 @@ def test_changes_are_drawn_and_those_of_validation_are_none() -> None:
 
 
 def test_fits_are_kept_in_files(mini: Path, tmp_path: Path) -> None:
-    task, _ = placement_task(Dataset(mini), "small", WEIGHTS / "completion-d415", WEIGHTS / "restoration")
+    task = placement_task(Dataset(mini), "small", WEIGHTS / "completion-d415", WEIGHTS / "restoration")
     registration = task.training.registration
     drawn = PlacedFits(registration, "train", tmp_path).draw(np.random.default_rng(0))
     assert drawn.channels.shape == (len(Channel), CELLS + 2 * BORDER, CELLS + 2 * BORDER)
     assert np.abs(drawn.twist[3:5]).max() <= LARGEST_SHIFT
-    files = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    files = {path: path.read_bytes() for path in tmp_path.rglob("output.pkl")}
     again = PlacedFits(registration, "train", tmp_path).draw(np.random.default_rng(0))
     np.testing.assert_array_equal(again.channels, drawn.channels)
     np.testing.assert_array_equal(again.twist, drawn.twist)
-    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == files
+    assert {path: path.read_bytes() for path in tmp_path.rglob("output.pkl")} == files
 
 
 def test_a_split_without_queries_of_the_track_says_so(mini: Path, tmp_path: Path) -> None:
-    task, _ = placement_task(Dataset(mini), "small", WEIGHTS / "completion-d415", WEIGHTS / "restoration")
+    task = placement_task(Dataset(mini), "small", WEIGHTS / "completion-d415", WEIGHTS / "restoration")
     fits = PlacedFits(task.training.registration, "train", tmp_path)
     fits.__dict__["queries"] = {}
     with pytest.raises(InputError, match="no query of snap-d415"):

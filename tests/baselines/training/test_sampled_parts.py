@@ -70,7 +70,7 @@ def test_a_shard_holds_the_parts_that_are_made_without_it(
         for mesh in (one.mesh, other.mesh):
             np.testing.assert_array_equal(part.mesh.vertices, mesh.vertices)
             np.testing.assert_array_equal(part.mesh.faces, mesh.faces)
-    assert len(list(tmp_path.iterdir())) == 2
+    assert len(list(tmp_path.rglob("output.pkl"))) == 2
     with pytest.raises(IndexError):
         made[8]
 

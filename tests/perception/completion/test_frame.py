@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from kit1000.perception.completion.parts import (
     CODE,
     SHAPE,
     TYPICAL,
+    FramedPart,
     framed,
     grid_at,
     packed,
@@ -48,15 +50,20 @@ def image_of(*moved: Pose, eye: Pose = EYE) -> LabelledDepth:
     return LabelledDepth(View(CAMERA, eye, image.depth), labels)
 
 
+def evidence(image: LabelledDepth, *options: Any, **more: Any) -> FramedPart:
+    """The evidence of an image that shows the part."""
+    part = framed(image, PART, *options, **more)
+    assert part is not None
+    return part
+
+
 @settings(max_examples=10, deadline=None)
 @given(st.floats(-3.1, 3.1), st.floats(-0.2, 0.2), st.floats(-0.2, 0.2))
 def test_a_scene_turned_about_the_vertical_with_its_camera_gives_the_same_evidence(
     yaw: float, x: float, y: float
 ) -> None:
     motion = Pose.from_rotvec((0, 0, yaw), (x, y, 0))
-    here, there = framed(image_of(Pose.identity()), PART), framed(image_of(motion, eye=motion @ EYE), PART)
-    assert here is not None
-    assert there is not None
+    here, there = evidence(image_of(Pose.identity())), evidence(image_of(motion, eye=motion @ EYE))
     differs = np.abs(here.codes.astype(int) - there.codes.astype(int)) > LEVELS * CODE
     assert differs.mean() < 2e-3  # cells between two pixels
     np.testing.assert_allclose(here.camera, there.camera, atol=1e-4)
@@ -65,8 +72,7 @@ def test_a_scene_turned_about_the_vertical_with_its_camera_gives_the_same_eviden
 
 
 def test_the_frame_looks_away_from_the_camera_and_stands_on_the_table() -> None:
-    part = framed(image_of(Pose.identity()), PART)
-    assert part is not None
+    part = evidence(image_of(Pose.identity()))
     away = part.grid.world_from_grid.rotate((1.0, 0.0, 0.0))
     assert away[2] == pytest.approx(0)
     assert away[:2] @ EYE.xyz[:2] < -0.99 * np.linalg.norm(EYE.xyz[:2])
@@ -79,23 +85,18 @@ def test_a_lifted_table_lifts_the_grid_and_nothing_else() -> None:
     image = image_of(Pose.identity())
     up = Pose.from_translation((0, 0, 0.013))
     lifted = LabelledDepth(replace(image.view, world_from_camera=up @ EYE), image.labels)
-    here, there = framed(image, PART), framed(lifted, PART, table_height=0.013)
-    assert here is not None
-    assert there is not None
+    here, there = evidence(image), evidence(lifted, table_height=0.013)
     np.testing.assert_array_equal(here.codes, there.codes)
     np.testing.assert_allclose(there.grid.centres() - here.grid.centres(), np.broadcast_to((0, 0, 0.013), (*SHAPE, 3)))
 
 
 def test_what_a_neighbour_hides_is_unknown_and_a_table_without_return_is_free() -> None:
     alone, neighbour = Pose.identity(), Pose.from_translation((0.045, 0.012, 0))
-    free, hidden = framed(image_of(alone), PART), framed(image_of(alone, neighbour), PART)
-    assert free is not None
-    assert hidden is not None
+    free, hidden = evidence(image_of(alone)), evidence(image_of(alone, neighbour))
     assert (hidden.codes == -CODE).mean() > (free.codes == -CODE).mean() + 0.005
     image = image_of(alone)
     dropped = np.where(image.labels == 0, np.float32(0), image.view.depth)
-    blind = framed(LabelledDepth(replace(image.view, depth=dropped), image.labels), PART)
-    assert blind is not None
+    blind = evidence(LabelledDepth(replace(image.view, depth=dropped), image.labels))
     assert (np.abs(blind.codes.astype(int) - free.codes) > 2).mean() < 1e-3
 
 
@@ -105,9 +106,7 @@ def test_a_larger_scene_gives_the_same_evidence_at_its_scale(scale: float, table
     image = image_of(Pose.identity())
     eye = Pose(EYE.wxyz, scale * EYE.xyz + (0, 0, table))
     larger = LabelledDepth(View(CAMERA, eye, scale * image.view.depth), image.labels)
-    here, there = framed(image, PART), framed(larger, PART, table, scale=scale)
-    assert here is not None
-    assert there is not None
+    here, there = evidence(image), evidence(larger, table, scale=scale)
     assert (np.abs(here.codes.astype(int) - there.codes) > 1).mean() < 1e-3
     np.testing.assert_allclose(there.camera, here.camera, rtol=1e-5)
     np.testing.assert_allclose(there.grid.centres(), scale * here.grid.centres() + (0, 0, table), atol=1e-6)
@@ -122,7 +121,7 @@ def test_only_a_part_larger_than_those_learned_from_is_shrunk_and_then_to_their_
         pose = Pose(EYE.wxyz, factor * EYE.xyz)
         larger = LabelledDepth(View(CAMERA, pose, factor * image.view.depth), image.labels)
         sizes.append(factor / scale_of(larger, PART))
-        assert framed(larger, PART, scale=scale_of(larger, PART)) is not None
+        evidence(larger, scale=scale_of(larger, PART))
     assert sizes[0] == pytest.approx(sizes[1], rel=1e-4)
     low, high = part_mesh().bounds
     assert sizes[0] * np.ptp([low, high], axis=0).max() == pytest.approx(TYPICAL, rel=0.15)
@@ -132,9 +131,7 @@ def test_a_mirrored_scene_gives_mirrored_evidence() -> None:
     eye = look_at((0.4, 0, 0.6), (0, 0, 0))
     image = image_of(Pose.identity(), eye=eye)
     mirrored = LabelledDepth(replace(image.view, depth=image.view.depth[:, ::-1]), image.labels[:, ::-1])
-    here, there = framed(image, PART), framed(mirrored, PART)
-    assert here is not None
-    assert there is not None
+    here, there = evidence(image), evidence(mirrored)
     assert (np.abs(here.codes[:, ::-1].astype(int) - there.codes) > LEVELS * CODE).mean() < 5e-3
 
 
@@ -147,11 +144,9 @@ def test_a_part_without_a_return_has_no_evidence() -> None:
 
 def test_a_crop_that_holds_the_grid_gives_the_evidence_of_the_whole_image() -> None:
     image = image_of(Pose.identity())
-    whole = framed(image, PART)
-    assert whole is not None
+    whole = evidence(image)
     crop = cropped(image, pixel_box(whole.grid, CAMERA, EYE, border=3))
-    again = framed(crop, PART)
-    assert again is not None
+    again = evidence(crop)
     np.testing.assert_array_equal(again.codes, whole.codes)
 
 

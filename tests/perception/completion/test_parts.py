@@ -1,10 +1,11 @@
-"""Parts completed by a network: interpolated logits, mirror images, what is seen stays as it was seen; bad weights."""
+"""Parts completed by a network: its loss, interpolated logits, mirror images; what is seen stays as it was seen."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 import torch
+import torch.nn.functional as F
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import map_coordinates
@@ -14,16 +15,19 @@ from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.metrics.volumes import occupancy_iou
 from kit1000.perception.completion.parts import (
     CODE,
+    JACCARD,
     SEEN_FREE,
     SHAPE,
     CompletedPart,
-    CompletionConfig,
     CompletionNet,
     FillLogits,
     FramedPart,
     PartCompleter,
+    completion_loss,
     grid_at,
+    network_input,
 )
+from kit1000.perception.networks.unet import UNetConfig
 from kit1000.perception.observed.parts import ObservedPart
 from kit1000.pose import Pose
 from kit1000.registration.part_volume import seen_part
@@ -36,7 +40,7 @@ from tests.samples.shapes import MM, box
 CAMERA = Camera(width=400, height=300, fx=500.0, fy=500.0, cx=199.5, cy=149.5)
 EYE = look_at((0.3, 0.1, 0.55), (0, 0, 0))
 PART, VOXEL = 2, 1e-3
-SMALL = CompletionConfig(widths=(8, 8, 8, 8), blocks=1)
+SMALL = UNetConfig(widths=(8, 8, 8, 8))
 
 
 def table_tee() -> Mesh:
@@ -104,3 +108,63 @@ def test_the_height_of_a_completed_part_is_what_is_seen_of_it() -> None:
     assert seen_part(part, part.image, oracle, restores=False).height == pytest.approx(30e-3, abs=2e-4)
     assert seen_part(part, part.image, None, restores=False).height is None  # as high as its filled columns
     assert seen_part(part, part.image, oracle, restores=True).height is None  # noisy
+
+
+SIZES = (2, 8, 8, 16)
+
+
+def batch(seed: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Logits, codes, solid."""
+    torch.manual_seed(seed)
+    codes = torch.randint(-CODE, CODE + 1, SIZES, dtype=torch.int8)
+    codes[torch.rand(SIZES) < 0.3] = CODE
+    return 3 * torch.randn(SIZES), codes, torch.randint(0, 256, SIZES).to(torch.uint8)
+
+
+def plain_loss(logits: torch.Tensor, codes: torch.Tensor, solid: torch.Tensor) -> torch.Tensor:
+    """The loss as it is defined, an example at a time."""
+    losses = []
+    for one, code, share in zip(logits, codes, solid.float() / 255, strict=True):
+        counts = code < CODE
+        x, t = one[counts], share[counts]
+        p = torch.sigmoid(x)
+        both = (p * t).sum()
+        jaccard = 1 - both / ((p + t).sum() - both)
+        losses.append(F.binary_cross_entropy_with_logits(x, t) + JACCARD * jaccard)
+    return torch.stack(losses).mean()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_loss_and_its_gradient_are_those_of_the_definition(seed: int) -> None:
+    logits, codes, solid = batch(seed)
+    ours, theirs = (logits.clone().requires_grad_() for _ in range(2))
+    loss, expected = completion_loss(ours, codes, solid), plain_loss(theirs, codes, solid)
+    torch.testing.assert_close(loss, expected)
+    (3 * loss).backward()
+    (3 * expected).backward()
+    assert ours.grad is not None
+    assert theirs.grad is not None
+    torch.testing.assert_close(ours.grad, theirs.grad, atol=1e-7, rtol=1e-4)
+    assert (ours.grad[codes == CODE] == 0).all()
+
+
+def test_a_part_that_is_all_seen_free_has_a_finite_loss() -> None:
+    logits, codes, solid = batch(0)
+    loss = completion_loss(logits.requires_grad_(), torch.full_like(codes, CODE), torch.zeros_like(solid))
+    loss.backward()
+    assert torch.isfinite(loss)
+    assert logits.grad is not None
+    assert (logits.grad == 0).all()
+
+
+def test_mirrored_evidence_is_a_mirrored_image_and_the_net_has_a_logit_a_cell() -> None:
+    torch.manual_seed(0)
+    codes = torch.randint(-CODE, CODE + 1, (1, 40, 40, 208), dtype=torch.int8)
+    camera = torch.tensor([[0.7, 0.9]])
+    here, there = network_input(codes, camera), network_input(codes.flip(2), camera)
+    torch.testing.assert_close(here.flip(3), there)
+    net = network()
+    with torch.autocast("cpu", torch.bfloat16):
+        logits = net.eval()(codes, camera)
+    assert logits.shape == codes.shape
+    assert torch.isfinite(logits).all()
