@@ -155,7 +155,7 @@ def likeliest(queries: Sequence[KnownFits], used: np.ndarray) -> np.ndarray:
         total, slope = STIFFNESS / 2 * (unknowns[1:] ** 2).sum(), STIFFNESS * np.append(0.0, unknowns[1:])
         for rows, right in cases:
             scores = rows @ unknowns
-            of_all, of_right = logsumexp(scores), logsumexp(scores[right])
+            of_all, of_right = float(np.asarray(logsumexp(scores))), float(np.asarray(logsumexp(scores[right])))
             total += of_all - of_right
             slope = slope + np.exp(scores - of_all) @ rows - np.exp(scores[right] - of_right) @ rows[right]
         return float(total), slope
