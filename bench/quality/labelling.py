@@ -22,10 +22,11 @@ from tqdm import tqdm
 from bench.measured import run, timed
 from benchmark.measurements import Column, Measurement, estimate
 from kit1000.dataset.reader import Dataset, RecordedScene
+from kit1000.known_shapes.registration import RegisteredBody, RegisteredScene, register_scene
+from kit1000.known_shapes.shapes import KnownShape, ShapeDistance
 from kit1000.labelling.known_kits import KITS
-from kit1000.labelling.scene_registration import RegisteredBody, RegisteredScene, ShapeDistance, register_scene
-from kit1000.labelling.starting_poses import KnownShape
 from kit1000.mesh import Mesh
+from kit1000.perception.sensor_facts import sensor_of
 from kit1000.pose import Pose
 from kit1000.sim.sensors import DEPTH_GRID
 from kit1000.symmetry import Symmetry
@@ -102,19 +103,19 @@ def rounded_image(recorded: RecordedScene, unit: float) -> LabelledDepth:
 def scene_rows(recorded: RecordedScene, image: LabelledDepth) -> Iterator[Row]:
     """The errors of each body of a scene; all rows hold those of the depth scale."""
     (kits, kits_pose), *parts = recorded.bodies()[1:]
-    shown = set(np.unique(image.labels).tolist())
+    sensor, shown = sensor_of(recorded.split.dataset.summary, SENSOR), set(np.unique(image.labels).tolist())
     names = {f"part {i}": i for i in range(len(parts)) if FIRST_PART_LABEL + i in shown}
     shapes = [KnownShape.of(name, parts[i][0]) for name, i in names.items()]
-    seconds, found = timed(lambda: register_scene(image, KnownShape.upright(KITS, kits), shapes), process_time)
+    seconds, found = timed(lambda: register_scene(image, sensor, KnownShape.upright(KITS, kits), shapes), process_time)
     camera_from_world = recorded.view("ideal").world_from_camera.inverse()
-    true_scale, kits_found = _true_scale(recorded), found.bodies[0].placed.camera_from_body
+    true_scale, kits_found = _true_scale(recorded), found.camera_from_body(found.bodies[0])
     for body in found.bodies:
         mesh, pose = (kits, kits_pose) if body.name == KITS else parts[names[body.name]]
         true, true_kits = camera_from_world @ pose, camera_from_world @ kits_pose
         symmetry = Symmetry.none() if body.name == KITS else _symmetry(recorded, names[body.name])
         row = _body_row(body, found, mesh, true, symmetry)
         middle = mesh.centroid
-        seen = kits_found.inverse().apply(body.placed.camera_from_body.apply(middle))
+        seen = kits_found.inverse().apply(found.camera_from_body(body).apply(middle))
         relative = float(np.linalg.norm(seen - true_kits.inverse().apply(true.apply(middle))))
         distance = float(np.linalg.norm(true.xyz))
         motion = float(np.linalg.norm(true.xyz - true_kits.xyz))
@@ -130,11 +131,12 @@ def scene_rows(recorded: RecordedScene, image: LabelledDepth) -> Iterator[Row]:
 
 
 def _body_row(body: RegisteredBody, found: RegisteredScene, mesh: Mesh, true: Pose, symmetry: Symmetry) -> Row:
-    error = true.inverse() @ body.placed.camera_from_body
-    surface = ShapeDistance(mesh).between(true, body.placed.camera_from_body)
+    pose = found.camera_from_body(body)
+    error = true.inverse() @ pose
+    surface = ShapeDistance(mesh).between(true, pose)
     position = float(np.linalg.norm(error.apply(mesh.centroid) - mesh.centroid))
-    rotation = float(np.degrees(symmetry.error(body.placed.camera_from_body.wxyz, true.wxyz)))
-    doubts = body.doubts(found.scale_spread, found.scale)
+    rotation = float(np.degrees(symmetry.error(pose.wxyz, true.wxyz)))
+    doubts = found.doubts(body)
     return {
         "what": "kits" if body.name == KITS else "part",
         "position": position * MM,

@@ -11,16 +11,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from kit1000.errors import InputError
-from kit1000.labelling.agreement import agreement
-from kit1000.labelling.alignment import PlacedShape, align
-from kit1000.labelling.body_windows import body_windows
+from kit1000.known_shapes.disparity import DisparityImage
+from kit1000.known_shapes.fit import COARSE, FINE, fit
+from kit1000.known_shapes.registration import GAP, agreement
+from kit1000.known_shapes.shapes import StandingShape, neighbours
+from kit1000.known_shapes.support import seen_support
 from kit1000.labelling.known_kits import KnownKits, read_known_kits
 from kit1000.labelling.label_records import LabelledBody, LabelRecord, confirmed
 from kit1000.labelling.labelling_session import OwnScenes, store
 from kit1000.labelling.residual_pictures import residual_colours
 from kit1000.labelling.scene_truth import true_camera
-from kit1000.labelling.standing_plane import seen_support
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.sim.render import render
@@ -35,12 +35,8 @@ class Correction:
         """Begin with a record of a scene. kits: its shapes, read again when None."""
         self.scenes, self.record = scenes, record
         self.kits = kits or read_known_kits(record.source)
-        _, self.image = scenes.image(record.scene_id, record.view)
-        self.support = seen_support(self.image)
-        self._windows = body_windows(self.image)
-        missing = [body.name for body in record.bodies if body.label not in self._windows]
-        if missing:
-            raise InputError(f"{record.scene_id}: the masks no longer show {', '.join(missing)}: label it again")
+        _, self.image, sensor = scenes.image(record.scene_id, record.view)
+        self.disparities = DisparityImage.of(self.image, sensor, seen_support(self.image))
         self._before: list[LabelRecord] = []
 
     @property
@@ -67,12 +63,14 @@ class Correction:
 
     def move(self, name: str, world_from_body: Pose) -> None:
         """Put a body to a pose by hand."""
-        self._put(name, self.world_from_camera.inverse() @ world_from_body, self.body(name).width)
+        self._put(name, self.world_from_camera.inverse() @ world_from_body)
 
     def fit(self, name: str) -> None:
-        """Let a body fit to the image from where it is; the others and the scale stay."""
-        placed = align([self._placed(self.body(name))], self.support, self.record.scale, fixed_scale=True).shapes[0]
-        self._put(name, placed.camera_from_body, placed.width)
+        """Let a body that stands on the table fit to the image from where it is; the others and the scale stay."""
+        body, scale = self._standing(self.body(name)), self.record.scale
+        self._put(
+            name, fit(self.disparities, body, self._beside(body), scale, (*COARSE, *FINE)).shape.camera_from_body(scale)
+        )
 
     def take_back(self) -> bool:
         """Take back the last move or fit; False if nothing is left."""
@@ -102,15 +100,20 @@ class Correction:
         seen = view.camera.unproject_pixels(np.stack([u, v], axis=-1).astype(float), depth)
         return self.world_from_camera.apply(seen), colours[v, u]
 
-    def _placed(self, body: LabelledBody) -> PlacedShape:
-        shape, window = self.kits.shape(body.name), self._windows[body.label]
-        return PlacedShape(shape.mesh, window, body.camera_from_body, body.width, shape.downs)
+    def _standing(self, body: LabelledBody) -> StandingShape:
+        shape, support = self.kits.shape(body.name), self.disparities.support
+        return StandingShape.by_pose(shape, support, body.camera_from_body, self.record.scale)
 
-    def _put(self, name: str, camera_from_body: Pose, width: float) -> None:
+    def _beside(self, standing: StandingShape) -> list[StandingShape]:
+        others = (self._standing(body) for body in self.record.bodies if body.name != standing.shape.name)
+        return neighbours(standing, list(others), GAP)
+
+    def _put(self, name: str, camera_from_body: Pose) -> None:
         """Give a body a pose that a person chose: its old confirmation no longer holds."""
-        moved = replace(self.body(name), camera_from_body=camera_from_body, width=width, moved=True, confirmed_by=None)
-        fit = agreement(self._placed(moved), self.support, self.record.scale)
-        moved = replace(moved, agreement=fit, doubts=fit.faults, rival=None)
+        moved = replace(self.body(name), camera_from_body=camera_from_body, moved=True, confirmed_by=None)
+        standing = self._standing(moved)
+        found = agreement(self.disparities, standing, self._beside(standing), self.record.scale)
+        moved = replace(moved, agreement=found, doubts=found.faults)
         bodies = tuple(moved if body.name == name else body for body in self.record.bodies)
         self._before.append(self.record)
         self.record = replace(self.record, bodies=bodies)

@@ -14,7 +14,7 @@ from kit1000.dataset.geometry import Geometry
 from kit1000.errors import InputError, MeshRefused, did_you_mean
 from kit1000.kits.goals import Design, find_goals
 from kit1000.kits.shadows import PartShadows
-from kit1000.labelling.starting_poses import KnownShape
+from kit1000.known_shapes.shapes import KnownShape
 from kit1000.mesh import Mesh, solid_from_mesh
 from kit1000.parts.family import part_of_mesh
 from kit1000.parts.files.read import read_mesh

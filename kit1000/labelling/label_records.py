@@ -6,6 +6,7 @@ explains the image, and who confirmed it. Truth is written from confirmed record
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
@@ -16,11 +17,10 @@ from kit1000.dataset.json_rows import Row, pose_of, pose_row
 from kit1000.dataset.own_scenes import LABELS
 from kit1000.errors import InputError
 from kit1000.files import json_bytes, read_json, write_bytes
-from kit1000.labelling.agreement import Agreement
-from kit1000.labelling.scene_registration import RegisteredScene
+from kit1000.known_shapes.registration import Agreement, RegisteredScene
 from kit1000.pose import Pose
 
-FORMAT = "kit1000-label/1"
+FORMAT = "kit1000-label/2"
 FOLDER = LABELS
 FILES = ("shapes", "kit", "part")  # keys of a source that are paths, in a file relative to the dataset's folder
 
@@ -32,12 +32,9 @@ class LabelledBody:
     name: str
     """`kits`, or the id of a part."""
     label: int
-    """Its value in the masks."""
+    """Its value in the masks; a part that no mask shows has one beyond them."""
     camera_from_body: Pose
-    width: float
-    """[px] by which its mask is too wide."""
     agreement: Agreement
-    rival: float | None
     doubts: tuple[str, ...]
     """Why the image alone does not settle the pose; empty if it does."""
     moved: bool = False
@@ -73,15 +70,14 @@ class LabelRecord:
 
 def record_of(scene_id: str, view: str, source: dict[str, Any], scene: RegisteredScene) -> LabelRecord:
     """The record of a registration."""
+    free = itertools.count(1 + max(body.label for body in scene.bodies))
     bodies = tuple(
         LabelledBody(
             body.name,
-            body.label,
-            body.placed.camera_from_body,
-            body.placed.width,
+            body.label or next(free),
+            scene.camera_from_body(body),
             body.agreement,
-            body.rival,
-            body.doubts(scene.scale_spread, scene.scale),
+            scene.doubts(body),
         )
         for body in scene.bodies
     )
@@ -147,7 +143,7 @@ def _relative(path: str, root: Path) -> str:
 
 
 def _body_row(body: LabelledBody) -> Row:
-    plain = {key: getattr(body, key) for key in ("name", "label", "width", "rival", "moved", "confirmed_by")}
+    plain = {key: getattr(body, key) for key in ("name", "label", "moved", "confirmed_by")}
     return plain | {
         "camera_from_body": pose_row(body.camera_from_body),
         "agreement": asdict(body.agreement),
@@ -156,11 +152,10 @@ def _body_row(body: LabelledBody) -> Row:
 
 
 def _body_of(row: Row) -> LabelledBody:
-    numbers = {key: float(value) for key, value in row["agreement"].items()}
-    rest = {key: row[key] for key in ("name", "label", "width", "rival", "moved", "confirmed_by")}
+    rest = {key: row[key] for key in ("name", "label", "moved", "confirmed_by")}
     return LabelledBody(
         camera_from_body=pose_of(row["camera_from_body"]),
-        agreement=Agreement(**numbers),
+        agreement=Agreement(**row["agreement"]),
         doubts=tuple(row["doubts"]),
         **rest,
     )

@@ -12,6 +12,7 @@ from kit1000.dataset.mcap_io import ObservationFile
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError, did_you_mean
 from kit1000.files import check_writable, write_own
+from kit1000.known_shapes.registration import register_scene
 from kit1000.labelling.known_kits import KnownKits
 from kit1000.labelling.label_records import (
     FOLDER,
@@ -24,7 +25,7 @@ from kit1000.labelling.label_records import (
 )
 from kit1000.labelling.labelled_folder import SPLIT, write_truth
 from kit1000.labelling.residual_pictures import DrawnBody, residual_picture
-from kit1000.labelling.scene_registration import register_scene
+from kit1000.perception.sensor_facts import SensorFacts, sensor_of
 from kit1000.values import FIRST_PART_LABEL, LabelledDepth
 
 
@@ -49,15 +50,16 @@ class OwnScenes:
             raise InputError(f"{root}: no scene {scene_id!r}; {did_you_mean(scene_id, known)}there are {known[0]} ...")
         return OwnScenes(root, known if scene_id is None else (scene_id,))
 
-    def image(self, scene_id: str, view: str | None = None) -> tuple[str, LabelledDepth]:
-        """The key of a scene's view, and the depth image with its masks; None: the first view."""
-        shard = Dataset(self.root).shards(SPLIT)[scene_id]
+    def image(self, scene_id: str, view: str | None = None) -> tuple[str, LabelledDepth, SensorFacts]:
+        """The key of a scene's view, the depth image with its masks, and its sensor; None: the first view."""
+        dataset = Dataset(self.root)
+        shard = dataset.shards(SPLIT)[scene_id]
         file = ObservationFile(self.root / f"{shard}.mcap")
         labels, keys = file.labels(scene_id), file.view_keys(scene_id)
         if labels is None or not keys:
             raise InputError(f"{self.root}: scene {scene_id} has no masks: import the image again")
         key = keys[0] if view is None else view
-        return key, LabelledDepth(file.view(scene_id, key), labels)
+        return key, LabelledDepth(file.view(scene_id, key), labels), sensor_of(dataset.summary, key, scene_id)
 
 
 def register(scenes: OwnScenes, kits: KnownKits, parts: Sequence[str] = ()) -> Iterator[LabelRecord]:
@@ -71,9 +73,9 @@ def register(scenes: OwnScenes, kits: KnownKits, parts: Sequence[str] = ()) -> I
     check_writable(scenes.root / FOLDER)
     chosen = [kits.shape(name) for name in (parts or [part.id for part in kits.parts])]
     for scene_id in scenes.scene_ids:
-        view, image = scenes.image(scene_id)
+        view, image, sensor = scenes.image(scene_id)
         try:
-            found = register_scene(image, kits.kit_shape, chosen)
+            found = register_scene(image, sensor, kits.kit_shape, chosen)
         except InputError as error:
             raise InputError(f"{scene_id}: {error}") from error
         record = record_of(scene_id, view, kits.source, found)
@@ -140,7 +142,7 @@ def report_lines(record: LabelRecord) -> list[str]:
     for body in record.bodies:
         what = body.name if body.label < FIRST_PART_LABEL else f"{body.name} (part {body.label - FIRST_PART_LABEL})"
         fit = body.agreement
-        numbers = f"depths {fit.depth * 1e3:.1f} mm off (noise {fit.noise * 1e3:.1f}), outline {fit.outline:.1f} px"
+        numbers = f"{1 - fit.unexplained:.1%} of the pixels explained, depths {fit.depth * 1e3:.1f} mm off"
         state = f"confirmed by {body.confirmed_by}" if body.confirmed_by else ("sure" if body.sure else "not sure: ")
         lines.append(f"  {what}: {numbers}; {state}{'' if body.confirmed_by else '; '.join(body.doubts)}")
     return lines

@@ -82,6 +82,9 @@ def labelled_scene(
     bodies = [(table(), Pose.identity()), (kits.assembly.mesh, world_from_assembly)]
     bodies += [(each.part.mesh, each.world_from_part) for each in placed]
     frame = render(view.camera, camera_pose, bodies, threads=1)
+    for i in range(len(placed)):  # a part that no mask shows has the pixels that its shape shows
+        if not (labels == FIRST_PART_LABEL + i).any():
+            labels = np.where(frame.body_ids == 3 + i, np.uint8(FIRST_PART_LABEL + i), labels)
     rows, asked = _part_rows(placed, frame, view, camera_pose, labels)
     queries, truths = real_queries(record.scene_id, tracks, record.view, view, labels, asked)
     target = next((each for each in placed if each.part.id == kits.assembly.id), None)

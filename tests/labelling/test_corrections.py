@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from kit1000.errors import InputError
 from kit1000.labelling.corrections import Correction
 from kit1000.labelling.label_records import read_record
 from kit1000.labelling.labelling_session import OwnScenes, publish
@@ -67,9 +65,3 @@ def test_points_lie_on_the_bodies(correction: Correction) -> None:
     assert len(points) == len(colours) > 1000
     assert points[:, 2].min() > -6e-3
     assert points[:, 2].max() < 0.15
-
-
-def test_masks_that_changed_since_are_noticed(correction: Correction) -> None:
-    bodies = tuple(replace(body, label=body.label + 5) for body in correction.record.bodies)
-    with pytest.raises(InputError, match="masks no longer show kits, bracket, tee"):
-        Correction(correction.scenes, replace(correction.record, bodies=bodies))

@@ -12,6 +12,7 @@ from kit1000.dataset.json_rows import FORMAT
 from kit1000.dataset.mcap_io import ObservationWriter
 from kit1000.dataset.scene_data import Observation
 from kit1000.files import with_checksum, write_json
+from kit1000.perception.sensor_facts import SensorFacts
 from kit1000.pictures.scene_preview import scene_picture
 from kit1000.values import FIRST_PART_LABEL, LabelledDepth
 
@@ -32,6 +33,7 @@ def write_forgotten(folder: Path, scenes: Mapping[str, LabelledDepth], clearance
     config = {"clearance": clearance, "scale": 1.0, "curve_scenes": 0, "frames": 1, "tracks": tracks_of(SENSOR)}
     summary = {"format": FORMAT, "dataset_id": "0123456789abcdef", "data_version": "1.0.0", "config": config}
     summary |= {"shards": {"test/0000.mcap": list(scenes)}, "files": files, "preset": "own"}
+    summary["sensors"] = {SENSOR: SensorFacts(fattening_px=0.0).as_row()}  # noise, but sharp edges
     write_json(folder / "dataset.json", with_checksum(summary))
     return folder
 

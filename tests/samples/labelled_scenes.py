@@ -13,7 +13,7 @@ from kit1000.dataset.json_rows import FORMAT, assembly_row, kit_row, part_row
 from kit1000.dataset.mesh_files import glb_bytes
 from kit1000.files import write_bytes, write_json
 from kit1000.kits.assembly import AssemblyPlan, SidePlate, build_assembly
-from kit1000.labelling.agreement import Agreement
+from kit1000.known_shapes.registration import Agreement
 from kit1000.labelling.known_kits import KITS, KnownKits
 from kit1000.labelling.label_records import LabelledBody, LabelRecord
 from kit1000.mesh import Mesh
@@ -94,11 +94,11 @@ def own_folder(folder: Path, scene: SampleScene | None = None) -> Path:
 
 def true_record(scene: SampleScene, source: dict[str, str], person: str | None = None) -> LabelRecord:
     """The record of a scene with its true poses; person: who confirmed all bodies."""
-    fit = Agreement(cost=0.1, depth=5e-4, noise=8e-4, outline=0.3, stray=0.0)
+    fit = Agreement(unexplained=0.01, rival=0.4, depth=5e-4)
     poses = {KITS: scene.world_from_assembly}
     poses |= {part.id: pose for part, pose in zip(scene.kits.parts, scene.world_from_parts, strict=True)}
     bodies = (
-        LabelledBody(name, label, scene.camera_from_world @ pose, 0.0, fit, 0.4, (), confirmed_by=person)
+        LabelledBody(name, label, scene.camera_from_world @ pose, fit, (), confirmed_by=person)
         for label, (name, pose) in enumerate(poses.items(), start=1)
     )
     return LabelRecord(SCENE, SENSOR, dict(source), 1.0, 1e-4, tuple(bodies))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kit1000.errors import InputError
-from kit1000.labelling.standing_plane import seen_support, standing_frame
+from kit1000.known_shapes.support import seen_support, standing_frame
 from kit1000.pose import Pose
 from kit1000.values import LabelledDepth
 from tests.samples.labelled_scenes import NOISE, sample_scene

@@ -1,0 +1,84 @@
+"""Expected disparity images: exact but for edges, where they lie between both surfaces; truth explains an image."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from kit1000.camera import Camera
+from kit1000.known_shapes.disparity import DisparityImage
+from kit1000.known_shapes.shapes import StandingShape
+from kit1000.known_shapes.support import Support, seen_support
+from kit1000.labelling.known_kits import KITS
+from kit1000.perception.sensor_facts import SensorFacts
+from kit1000.pose import Pose
+from kit1000.rng import stream
+from kit1000.sim.sensors import sense
+from kit1000.values import LabelledDepth, View
+from tests.samples.labelled_scenes import SampleScene, sample_scene
+
+STEREO, SHARP = SensorFacts(), SensorFacts(fattening_px=0.0)
+
+
+def disparities(scene: SampleScene, sensor: SensorFacts) -> DisparityImage:
+    return DisparityImage.of(scene.image, sensor, seen_support(scene.image))
+
+
+def standing_kits(scene: SampleScene, image: DisparityImage) -> StandingShape:
+    pose = scene.camera_from_world @ scene.world_from_assembly
+    return StandingShape.by_pose(scene.kits.shape(KITS), image.support, pose)
+
+
+@pytest.mark.parametrize("sensor", [STEREO, SHARP])
+def test_edges_lie_between_both_surfaces_and_planes_stay(sensor: SensorFacts) -> None:
+    image = disparities(sample_scene(), sensor)
+    exact = np.where(np.arange(80)[None] < 40, 70.0, 50.0) + np.zeros((60, 1))
+    mean, variance = image.expected(exact)
+    assert (mean >= 50 - 1e-3).all()
+    assert (mean <= 70 + 1e-3).all()
+    assert np.allclose(mean[:, :30], 70)
+    assert np.allclose(mean[:, 60:], 50)
+    assert np.allclose(variance[:, :30], 0)
+    assert variance.max() > 1
+    assert (np.diff(mean[30], axis=0) <= 1e-6).all()  # it falls from the near to the far surface
+
+
+def test_the_mean_is_that_of_the_simulated_sensor() -> None:
+    """Of many simulated images of one wall before another, the expected one is the mean, beside the edge too."""
+    gain, near, far = 925.0 * STEREO.baseline, 0.6, 0.75
+    wall = np.where(np.arange(300)[None] < 150, near, far) + np.zeros((200, 1))
+    camera = Camera(300, 200, 925.0, 925.0, 149.5, 99.5)
+    view = View(camera, Pose.identity(), wall.astype(np.float32))
+    support = Support(np.array([0.0, 0.0, -1.0]), -far, 1e-3, 1e-4)
+    image = DisparityImage.of(LabelledDepth(view, np.zeros(wall.shape, np.uint8)), STEREO, support)
+    beside = np.s_[:, 152:160]
+    depths = np.stack([sense("d415", view, stream(seed, "edges")).depth[beside] for seed in range(60)]).astype(float)
+    measured = np.nanmean(gain / np.where(depths > 0, depths, np.nan), axis=(0, 1))
+    expected = image.expected(gain / wall)[0][beside].mean(0)
+    assert np.abs(measured - expected).max() < 0.15 * (gain / near - gain / far)
+
+
+def test_the_true_pose_explains_the_image_and_others_do_not() -> None:
+    scene = sample_scene()
+    image = disparities(scene, SHARP)
+    kits = standing_kits(scene, image)
+    right = image.misfit(kits)
+    assert right < 0.05
+    for move in np.eye(3) * (8e-3, 8e-3, 0.15):
+        assert image.misfit(kits.at(kits.place + move)) > right + 0.01
+    assert image.gain_of(kits) > 1000
+    assert image.gain_of(kits.at(kits.place + (-0.25, 0.0, 0.0))) < 0
+
+
+def test_half_an_image_has_the_same_disparities() -> None:
+    image = disparities(sample_scene(), SHARP)
+    half = image.halved
+    assert np.array_equal(half.measured, image.measured[::2, ::2])
+    assert np.allclose(half.table, image.table[::2, ::2])
+
+
+def test_an_image_without_masks_has_the_same_disparities() -> None:
+    scene = sample_scene()
+    plain = LabelledDepth(scene.image.view, np.zeros_like(scene.image.labels))
+    image = DisparityImage.of(plain, SHARP, seen_support(scene.image))
+    assert np.array_equal(image.measured, disparities(scene, SHARP).measured)

@@ -1,0 +1,121 @@
+"""Registration of known shapes in whole scenes: poses, names, doubts, the depth scale, and masks that are wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+
+import numpy as np
+import pytest
+
+from kit1000.errors import InputError
+from kit1000.known_shapes.registration import RegisteredScene, register_scene
+from kit1000.labelling.known_kits import KITS
+from kit1000.perception.sensor_facts import SensorFacts
+from kit1000.pose import Pose
+from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth
+from tests.samples.labelled_scenes import SampleScene, sample_scene
+
+SHARP = SensorFacts(fattening_px=0.0)
+LABELS = range(FIRST_PART_LABEL, FIRST_PART_LABEL + 2)
+
+
+def registered(scene: SampleScene, labels: np.ndarray | None = None, names: tuple[str, ...] = ()) -> RegisteredScene:
+    image = scene.image if labels is None else LabelledDepth(scene.image.view, labels)
+    parts = [scene.kits.shape(name) for name in names or [part.id for part in reversed(scene.kits.parts)]]
+    return register_scene(image, SHARP, scene.kits.kit_shape, parts)
+
+
+@cache
+def found() -> RegisteredScene:
+    return registered(sample_scene())
+
+
+def error_of(scene: SampleScene, result: RegisteredScene, name: str) -> Pose:
+    """From the true pose."""
+    numbers = {part.id: i for i, part in enumerate(scene.kits.parts)}
+    true = scene.world_from_assembly if name == KITS else scene.world_from_parts[numbers[name]]
+    body = next(body for body in result.bodies if body.name == name)
+    return (scene.camera_from_world @ true).inverse() @ result.camera_from_body(body)
+
+
+def assert_in_place(scene: SampleScene, result: RegisteredScene) -> None:
+    for body in result.bodies:
+        error = error_of(scene, result, body.name)
+        assert np.linalg.norm(error.xyz) < 1e-3, body.name
+        assert np.degrees(error.angle()) < 1, body.name
+
+
+def test_shapes_are_found_over_their_own_masks() -> None:
+    assert {body.name: body.label for body in found().bodies} == {
+        KITS: ASSEMBLY_LABEL,
+        "bracket": LABELS[0],
+        "tee": LABELS[1],
+    }
+    assert_in_place(sample_scene(), found())
+
+
+def test_a_body_whose_image_settles_its_pose_has_no_doubts() -> None:
+    assert not any(body.agreement.faults for body in found().bodies)
+
+
+def _without_a_part(labels: np.ndarray) -> np.ndarray:
+    return np.where(labels == LABELS[1], 0, labels)
+
+
+def _joined_parts(labels: np.ndarray) -> np.ndarray:
+    return np.where(labels == LABELS[1], LABELS[0], labels)
+
+
+def _kits_cut_into(labels: np.ndarray) -> np.ndarray:
+    cut = labels.copy()
+    rows, columns = np.nonzero(labels == ASSEMBLY_LABEL)
+    cut[rows.min() : rows.min() + 40, : int(np.median(columns))] = 0
+    return cut
+
+
+@pytest.mark.parametrize("wrong", [_without_a_part, _joined_parts, _kits_cut_into])
+def test_wrong_masks_move_no_body(wrong: Callable[[np.ndarray], np.ndarray]) -> None:
+    scene = sample_scene()
+    assert_in_place(scene, registered(scene, wrong(scene.image.labels)))
+
+
+def test_a_part_without_a_mask_is_in_doubt() -> None:
+    scene = sample_scene()
+    result = registered(scene, _without_a_part(scene.image.labels))
+    (tee,) = (body for body in result.bodies if body.name == "tee")
+    assert tee.label == 0
+    assert "no mask shows it alone" in result.doubts(tee)
+
+
+def test_a_wrong_shape_is_in_doubt() -> None:
+    scene = sample_scene()
+    labels = np.where(scene.image.labels == LABELS[1], 0, scene.image.labels)  # the mask of the bracket is left
+    depth = np.where(scene.image.labels == LABELS[1], 0, scene.image.view.depth)  # and the tee is not there
+    view = type(scene.image.view)(scene.image.view.camera, scene.image.view.world_from_camera, depth.astype(np.float32))
+    result = register_scene(LabelledDepth(view, labels), SHARP, scene.kits.kit_shape, [scene.kits.shape("tee")])
+    assert all(result.doubts(body) for body in result.bodies if body.name == "tee")
+    assert np.linalg.norm(error_of(scene, result, KITS).xyz) < 1.5e-3
+
+
+@pytest.mark.parametrize("scale", [0.997, 1.003])
+def test_sizes_tell_the_depth_scale_of_a_sharp_image(scale: float) -> None:
+    scene = sample_scene(noise=0.3e-3, scale=scale)
+    result = registered(scene)
+    assert result.scale == pytest.approx(scale, abs=3 * result.scale_spread)
+    assert abs(result.scale - scale) < abs(1 - scale)
+
+
+def test_images_without_what_is_needed_are_refused() -> None:
+    scene = sample_scene()
+    view, labels = scene.image.view, scene.image.labels
+    bare = np.where(labels > 0, 0, view.depth).astype(np.float32)
+    with pytest.raises(InputError, match="nothing stands"):
+        register_scene(
+            LabelledDepth(type(view)(view.camera, view.world_from_camera, bare), labels),
+            SHARP,
+            scene.kits.kit_shape,
+            [],
+        )
+    with pytest.raises(InputError, match="table"):
+        registered(scene, np.ones_like(labels))
