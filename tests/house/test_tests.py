@@ -32,5 +32,5 @@ def test_folders_of_tests_hold_tests_and_samples_hold_none() -> None:
 def test_an_unknown_area_is_answered_with_the_known_ones() -> None:
     done = subprocess.run(["make", "-n", "test", "AREA=kit"], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert re.search(r"no tests of kit: .*\bkits labelling metrics\b", done.stderr)
+    assert re.search(r"no tests of kit: .*\bkits known_shapes labelling metrics\b", done.stderr)
     assert done.stderr.partition("one of ")[2].rstrip(". Stop\n").split() == FOLDERS
