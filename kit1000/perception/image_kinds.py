@@ -61,6 +61,8 @@ class Refinement:
     """The same weight if a network completed the part."""
     noise_px: float = 0.0
     """[px] scale of the disparity residuals at which the best fits are refined in the image; 0: they are not."""
+    doubtful: float = 2.0
+    """Score of the best fit, up to which more candidates are refined: log odds that it is right."""
     raise_goal: float = 0.0
     """[m] the goal is raised out of the cavity by this per metre of the part's half width: a part that is tilted by
     an error touches the cavity's floor early."""
@@ -71,8 +73,10 @@ class ImageKind:
     """Depth images with errors of one kind."""
 
     name: str
-    """Simulated sensor whose tracks hold such images; of denoised images: restored. It names the weights that rank the
-    fits, see `registration.rank.ranking_of`."""
+    """Simulated sensor whose tracks hold such images; of denoised images: restored."""
+    ranking: str
+    """Name of the weights that rank the fits, see `registration.rank.weights_of`. Scanners share those of ideal depth:
+    their own, fitted to 70 queries, trusted wrong fits."""
     noise: Noise
     flatness: float
     """[m] deviation from a plane at which the robot's suction cup still seals, as the image shows the surface."""
@@ -99,6 +103,7 @@ _EXACT_REFINEMENT = Refinement(
     passes=((4e-3, 2e-3, 1e-3), (1e-3, 0.5e-3)),
     prior=0.1,
     completed_prior=0.1,
+    doubtful=3.0,
 )
 _STEREO_REFINEMENT = Refinement(
     # Edges are off by 1.4 mm at random: a narrow scale would follow single walls.
@@ -111,6 +116,7 @@ _STEREO_REFINEMENT = Refinement(
 
 IDEAL = ImageKind(
     name="ideal",
+    ranking="ideal",
     noise=Noise(0.5e-3, float(np.radians(4)), 3),
     flatness=0.5e-3,
     segmentation=Segmentation(3e-4, 1.5e-3, 2, 0.35e-3, 2e-3, 60, _SPLIT_WEIGHTS),
@@ -119,6 +125,7 @@ IDEAL = ImageKind(
 )
 PHOTONEO = ImageKind(
     name="photoneo",
+    ranking="ideal",
     noise=Noise(1e-3, float(np.radians(6)), 5, float(np.radians(6))),
     flatness=1e-3,
     segmentation=Segmentation(1e-3, 2e-3, 3, 1e-3, 2.5e-3, 60, _SPLIT_WEIGHTS),
@@ -127,6 +134,7 @@ PHOTONEO = ImageKind(
 )
 RESTORED = ImageKind(
     name="restored",
+    ranking="restored",
     noise=Noise(1.2e-3, float(np.radians(6)), 5, float(np.radians(6)), wavy_rims=True),
     flatness=2.5e-3,
     segmentation=Segmentation(1e-3, 2e-3, 3, 1e-3, 3e-3, 150, _SPLIT_WEIGHTS, network=True),
@@ -134,6 +142,7 @@ RESTORED = ImageKind(
 )
 D415 = ImageKind(
     name="d415",
+    ranking="d415",
     noise=Noise(2e-3, float(np.radians(8)), 7, float(np.radians(6))),
     flatness=2.5e-3,
     segmentation=Segmentation(

@@ -50,7 +50,6 @@ USUAL_SPREAD = 55e-6  # [m] usual standard deviation of the place of such a fit
 USUAL_CAMERA_SPREAD = 1.45e-3  # [m] of a motion, by the camera of a noisy image
 CONTRADICTED_DECIMALS = 9  # of a metre
 MM = 1e3  # [1/m]
-DOUBTFUL = 2.0  # score of the best fit, up to which more candidates are refined: odds of 7
 
 
 class Scene(Protocol):
@@ -138,7 +137,7 @@ class FitSearch:
         """Refine more candidates as long as the best fit is doubtful."""
         assert self._candidates is not None
         tries = tries_of(self.part.shape.half_width, self._first, MOST_TRIED)
-        while self._tried < len(self._candidates[:tries]) and best_score(self.fits) < DOUBTFUL:
+        while self._tried < len(self._candidates[:tries]) and best_score(self.fits) < self.part.refinement.doubtful:
             self._add_fit(self._candidates[self._tried])
 
     def _add_fit(self, candidate: Candidate) -> None:
@@ -172,7 +171,7 @@ class PartRegistration:
         """
         self.shape, self.image, self.query, self.clearance = shape, image, scene.query, clearance
         self.kits, self.camera, self.refinement = scene.kits, scene.camera, scene.kind.refinement
-        self.kind = scene.kind.name
+        self.ranking = scene.kind.ranking
         self.prior = self.refinement.prior if shape.completed is None else self.refinement.completed_prior
         self._heights: dict[Cavity, KitHeights] = {}
 
@@ -207,7 +206,7 @@ class PartRegistration:
 
     def score(self, features: Features) -> float:
         """The score of a fit."""
-        return score_of(features, self.kind)
+        return score_of(features, self.ranking)
 
     def fitted(self, candidate: Candidate) -> Fit:
         """The fit of a candidate after the first pass."""

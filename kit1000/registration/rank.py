@@ -70,8 +70,9 @@ def weights_of(kind: str) -> dict[str, dict[str, float]]:
 
 def score_of(features: Features, kind: str) -> float:
     """The log odds that a fit in an image of a kind is right, against that none is."""
-    weights = weights_of(kind)["volume" if features.misfit is None else "image"]
-    terms = (weights[name] * value for name, value in zip(features._fields, features, strict=True) if value is not None)
+    of_kind = weights_of(kind)
+    weights = of_kind["image" if features.misfit is not None and "image" in of_kind else "volume"]
+    terms = (weights[name] * value for name, value in features._asdict().items() if name in weights)
     return weights["bias"] + sum(terms)
 
 

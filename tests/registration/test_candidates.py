@@ -83,12 +83,12 @@ IMAGE = VOLUME._replace(misfit=0.01, spread=0.1)
 @pytest.mark.parametrize("features", [VOLUME, IMAGE])
 def test_no_feature_speaks_for_a_fit(kind: ImageKind, features: Features) -> None:
     if features.misfit is not None and not kind.refinement.noise_px:
-        assert set(weights_of(kind.name)) == {"volume"}  # no fit is refined in such an image
+        assert set(weights_of(kind.ranking)) == {"volume"}  # no fit is refined in such an image
         return
-    before = score_of(features, kind.name)
+    before = score_of(features, kind.ranking)
     worse = [features._replace(**{name: value + 1}) for name, value in features._asdict().items() if value is not None]
-    assert all(score_of(each, kind.name) <= before for each in worse)
-    assert score_of(features._replace(filled=features.filled + 1), kind.name) < before
+    assert all(score_of(each, kind.ranking) <= before for each in worse)
+    assert score_of(features._replace(filled=features.filled + 1), kind.ranking) < before
 
 
 def at(known: Case, shift: float = 0.0, angle: float = 0.0, score: float = 0.0) -> Fit:
