@@ -38,7 +38,6 @@ from kit1000.values import Query
 NETWORKS, RULES = "registration-completed", "registration"
 SOURCES = {
     "ideal": ((NETWORKS, "snap"), (NETWORKS, "place"), (RULES, "snap"), (RULES, "place")),
-    # "photoneo": ((NETWORKS, "snap-photoneo"), (NETWORKS, "place-photoneo")),
     "restored": ((NETWORKS, "snap-d415"), (NETWORKS, "place-d415")),
     "d415": ((RULES, "snap-d415"), (RULES, "place-d415")),
 }

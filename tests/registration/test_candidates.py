@@ -18,7 +18,7 @@ from kit1000.pose import Pose
 from kit1000.queries.guesses import MAX_ANGLE
 from kit1000.queries.motions import apply_error
 from kit1000.registration.geometry.faces import squared
-from kit1000.registration.method import DOUBTFUL, MOST_TRIED, USUAL_CAMERA_SPREAD, FitSearch, PartRegistration
+from kit1000.registration.method import MOST_TRIED, USUAL_CAMERA_SPREAD, FitSearch, PartRegistration
 from kit1000.registration.prepared_image import RestoredImage
 from kit1000.registration.rank import SAME_PLACE, Features, Fit, confidence, same_place, score_of, weights_of
 from kit1000.registration.search import DOWN, LIES, NEAR_GUESS, SLACK_ANGLE, Candidate, faces_down
@@ -66,7 +66,7 @@ def test_further_candidates_are_refined_only_while_the_best_fit_is_doubtful() ->
     known = case("a keyed block")
     right = known.candidate(known.goal)
     turned = known.candidate(apply_error(known.goal, known.pivot, np.zeros(3), np.array([0, 0, np.pi])))
-    assert part_of(known).fitted(right).score > DOUBTFUL > part_of(known).fitted(turned).score
+    assert part_of(known).fitted(right).score > 2 > part_of(known).fitted(turned).score
     doubtful = fits_of(known, [turned, right], 1)
     assert [known.error_of(fit.candidate.plate_from_now)[1] < 1 for fit in doubtful] == [False, True]
     assert len(fits_of(known, [right, turned], 1)) == 1  # sure already
