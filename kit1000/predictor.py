@@ -29,8 +29,12 @@ class PredictedMotion(NamedTuple):
 class Predictor(Protocol):
     """A method: a function, or an instance whose `__init__` read its weights."""
 
-    def __call__(self, query: Query, geometry: TrueGeometry | None, /) -> PredictedMotion:
-        """Predict from this query alone. The geometry is None unless the method sets `uses_true_geometry`."""
+    def __call__(self, query: Query, geometry: Any, /) -> PredictedMotion:
+        """Predict from this query alone.
+
+        geometry: None; `TrueGeometry` for a method that sets `uses_true_geometry`; `SceneShapes` for one whose `reads`
+        is "shapes".
+        """
         ...
 
 

@@ -262,6 +262,16 @@ class TrueGeometry:
     world_from_assembly: Pose
 
 
+@dataclass(frozen=True, eq=False)
+class SceneShapes:
+    """The shapes of a scene, each in its own frame: no pose, no goal, and not which part lies where."""
+
+    assembly: Mesh
+    """All kits as one mesh, z up as they stand."""
+    parts: Mapping[str, Mesh]
+    """The parts of the scene by id, in the order of their ids."""
+
+
 def _positive(name: str, value: float) -> None:
     if not (np.isfinite(value) and value > 0):
         raise ShapeError(f"{name}: expected a finite number above 0, got {value}")

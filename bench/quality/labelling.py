@@ -22,9 +22,9 @@ from tqdm import tqdm
 from bench.measured import run, timed
 from benchmark.measurements import Column, Measurement, estimate
 from kit1000.dataset.reader import Dataset, RecordedScene
+from kit1000.known_shapes.known_kits import KITS
 from kit1000.known_shapes.registration import RegisteredBody, RegisteredScene, register_scene
 from kit1000.known_shapes.shapes import KnownShape, ShapeDistance
-from kit1000.labelling.known_kits import KITS
 from kit1000.mesh import Mesh
 from kit1000.perception.sensor_facts import sensor_of
 from kit1000.pose import Pose

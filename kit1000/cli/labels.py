@@ -12,7 +12,7 @@ from kit1000.cli.options import Folder, OptionalFloat, OptionalId, OptionalInt, 
 from kit1000.errors import InputError
 
 if TYPE_CHECKING:
-    from kit1000.labelling.known_kits import KnownKits
+    from kit1000.known_shapes.known_kits import KnownKits
     from kit1000.labelling.labelling_session import OwnScenes
 
 
@@ -92,7 +92,7 @@ class Label:
         return 1 if without else 0
 
     def _kits(self) -> KnownKits:
-        from kit1000.labelling.known_kits import kits_of_files, kits_of_folder
+        from kit1000.known_shapes.known_kits import kits_of_files, kits_of_folder
 
         if (self.shapes is None) == (self.kit is None):
             raise InputError("expected either --shapes FOLDER, or --kit FILE and --part FILE")

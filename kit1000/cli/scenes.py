@@ -51,6 +51,11 @@ class Predict:
     """Masks that the method reads: those of the dataset, or those that segmentation finds in the depth image."""
     weights: tuple[Path, ...] = ()
     """Folders of training runs whose best weights replace the published ones."""
+    shapes: OptionalPath = None
+    """Folder with the shapes in the images, for a method that reads them: of `kit1000 kit`, or a dataset.
+    Default: those of the dataset."""
+    assembly: OptionalId = None
+    """Id of the assembly in --shapes. Default: the only one."""
 
     def run(self) -> int:
         """Predict by a method of the library or of the user."""
@@ -65,7 +70,18 @@ class Predict:
         check_least(workers=(self.workers, 1), limit=(self.limit, 1), seed=(self.seed, 0))
         find_own_modules()
         tracks = self.tracks or None
-        config = RunConfig.of(self.name, self.masks, self.split, tracks, self.seed, self.limit, tables, self.weights)
+        config = RunConfig.of(
+            self.name,
+            self.masks,
+            self.split,
+            tracks,
+            self.seed,
+            self.limit,
+            tables,
+            self.weights,
+            self.shapes,
+            self.assembly,
+        )
         print(predict_and_describe(config, self.data, self.out, self.workers))
         return 0
 

@@ -27,7 +27,7 @@ from kit1000.sim import cameras
 from kit1000.sim.layout import table
 from kit1000.sim.render import render
 from kit1000.sim.sensors import sense
-from kit1000.values import Body, LabelledDepth, Query, Scene, Truth, View
+from kit1000.values import Body, LabelledDepth, Query, Scene, SceneShapes, Truth, View
 
 MAX_OPEN_FILES = 128  # open at once: all shards of the largest split, with their truth
 WITHHELD_FILE = "withheld.json"  # in the full folder of a withheld dataset: salt, commitment, id of the public one
@@ -251,6 +251,14 @@ class RecordedScene:
         row = self._truth_row
         parts = (Body(part["part_id"], pose_of(part["world_from_part"])) for part in row["parts"])
         return Scene(self.id, (Body(row["assembly_id"], pose_of(row["world_from_assembly"])), *parts))
+
+    @property
+    def shapes(self) -> SceneShapes:
+        """The shapes of the scene without their poses. They are named by the ground truth."""
+        assembly, *parts = (body.id for body in self.scene.bodies)
+        geometry = self._dataset.geometry
+        meshes = {part_id: geometry.part(part_id).mesh for part_id in sorted(parts)}
+        return SceneShapes(geometry.assembly(assembly).mesh, meshes)
 
     @cached_property
     def truths(self) -> dict[str, Truth]:

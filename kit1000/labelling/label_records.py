@@ -56,7 +56,7 @@ class LabelRecord:
     view: str
     """Key of the view that was labelled."""
     source: dict[str, Any]
-    """Where the shapes come from, see `kit1000.labelling.known_kits.read_known_kits`."""
+    """Where the shapes come from, see `kit1000.known_shapes.known_kits.read_known_kits`."""
     scale: float
     scale_spread: float
     bodies: tuple[LabelledBody, ...]

@@ -19,7 +19,7 @@ from kit1000.dataset.reader import Dataset
 from kit1000.dataset.scene_data import LICENCE, Observation, SceneTruth
 from kit1000.errors import InputError
 from kit1000.files import json_bytes, locked, read_json, with_checksum, write_bytes, write_json
-from kit1000.labelling.known_kits import KnownKits, read_known_kits
+from kit1000.known_shapes.known_kits import KnownKits, read_known_kits
 from kit1000.labelling.label_records import LabelRecord
 from kit1000.labelling.scene_truth import labelled_scene
 from kit1000.mesh import Mesh

@@ -12,8 +12,8 @@ from kit1000.dataset.mcap_io import ObservationFile
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError, did_you_mean
 from kit1000.files import check_writable, write_own
+from kit1000.known_shapes.known_kits import KnownKits
 from kit1000.known_shapes.registration import register_scene
-from kit1000.labelling.known_kits import KnownKits
 from kit1000.labelling.label_records import (
     FOLDER,
     LabelRecord,

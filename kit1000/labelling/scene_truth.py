@@ -18,7 +18,7 @@ from kit1000.dataset.scene_data import Observation, SceneTruth
 from kit1000.dataset.scene_queries import PartInScene, asked_query, eligible
 from kit1000.dataset.scene_records import part_truth_row, scene_models, segmentation
 from kit1000.errors import InputError
-from kit1000.labelling.known_kits import KITS, KnownKits
+from kit1000.known_shapes.known_kits import KITS, KnownKits
 from kit1000.labelling.label_records import LabelRecord
 from kit1000.pictures.scene_preview import scene_picture, with_previews
 from kit1000.pose import Pose

@@ -15,7 +15,7 @@ from typing import Any, Literal
 from kit1000.errors import InputError
 from kit1000.queries.tracks import ALL_TRACKS
 
-TABLES = ("kit1000.registration",)
+TABLES = ("kit1000.registration", "kit1000.known_shapes")
 """Packages of the library with a table METHODS."""
 
 
@@ -33,6 +33,8 @@ class Method:
     """Tracks it predicts for; a method that corrects a guess needs one of GUESS_TRACKS."""
     uses_true_geometry: bool = False
     """Whether it gets the true geometry; the controls read the ground truth as well."""
+    reads: Literal["image", "shapes"] = "image"
+    """shapes: it gets the meshes of the scene's parts and kits beside the image, without poses."""
     learned: bool = False
     control: bool = False
     """Whether it is a control, such as the unchanged guess, and no method."""

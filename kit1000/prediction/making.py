@@ -24,7 +24,7 @@ LIBRARY = Path(__file__).parents[1]
 """Folder of the package `kit1000`."""
 MASKS_TRAINING = "split train of kit1000, for the masks of noisy images"
 ATTRIBUTES = (
-    *("tracks", "uses_true_geometry", "learned", "predicts"),
+    *("tracks", "uses_true_geometry", "reads", "learned", "predicts"),
     *("training_data", "camera_set", "label", "paper_row"),
 )
 """Attributes that describe your own method."""

@@ -19,20 +19,21 @@ from typing import Literal
 
 from tqdm import tqdm
 
-from kit1000.dataset.reader import Dataset
+from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.errors import InputError, InternalError, Kit1000Error, did_you_mean, failure_text
 from kit1000.files import check_output
 from kit1000.parallel import local_engine, usable_cores
 from kit1000.prediction.catalog import TABLES, Method
 from kit1000.prediction.journal import Journal
 from kit1000.prediction.making import PREDICTED_MASKS, make_predictor, method_of, source_hash, with_weights
-from kit1000.predictor import FILE_TARGET, PredictedMotion, Predictor, to_prediction
+from kit1000.predictor import FILE_TARGET, PredictedMotion, Predictor, resolved, to_prediction
 from kit1000.queries.tracks import ALL_TRACKS, CURVES, SPLITS
 from kit1000.submission import Manifest, Submission, read_submission, write_submission
-from kit1000.values import Prediction, Query, TrueGeometry
+from kit1000.values import Prediction, Query, SceneShapes, TrueGeometry
 
 AUTHORS = ("The KIT1000 authors",)  # in a new manifest; what someone else writes there stays
 MICROSECOND = 6  # decimals of a time
+READ_SHAPES = "kit1000.known_shapes.known_kits:kits_of_folder"  # by name: methods lie above the catalog of methods
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,10 @@ class RunConfig:
     """Packages that list the methods, see `kit1000.prediction.catalog`."""
     weights: tuple[str, ...] = ()
     """Runs of training whose weights replace the published ones, see `kit1000.prediction.making.with_weights`."""
+    shapes: str | None = None
+    """Folder with the shapes of all scenes, for a method that reads them; None: those of the dataset."""
+    assembly: str | None = None
+    """Id of the assembly in that folder; None: its only one."""
 
     @property
     def display_name(self) -> str:
@@ -75,10 +80,13 @@ class RunConfig:
         limit: int | None = None,
         tables: tuple[str, ...] = TABLES,
         weights: Sequence[Path] = (),
+        shapes: Path | None = None,
+        assembly: str | None = None,
     ) -> RunConfig:
         """The run of a method with given or predicted masks."""
         full = name + (PREDICTED_MASKS if masks == "predicted" else "")
-        return cls(full, splits, tracks, seed, limit, tables, tuple(str(run.absolute()) for run in weights))
+        runs, folder = tuple(str(run.absolute()) for run in weights), None if shapes is None else str(shapes.absolute())
+        return cls(full, splits, tracks, seed, limit, tables, runs, folder, assembly)
 
 
 @dataclass(frozen=True)
@@ -161,14 +169,31 @@ def predict_job(root: Path, config: RunConfig, job: Job) -> Prediction:
         method, dataset, predictor = _made(root, config)
     except InternalError as error:
         raise InternalError(f"{job}: {error}") from error
-    scene = dataset.split(job.split, method.uses_true_geometry).scene(job.scene_id)
+    knows = method.uses_true_geometry or (method.reads == "shapes" and config.shapes is None)
+    scene = dataset.split(job.split, knows).scene(job.scene_id)
     query = next(query for query in scene.queries if query.id == job.query_id)
-    true = method.uses_true_geometry
-    geometry = dataset.geometry.true_geometry(scene.truth_of(query.id)) if true else None
+    geometry = _geometry(dataset, method, config, scene, query)
     query.image  # noqa: B018 (reads the images before the clock starts)
     start = perf_counter()
     predicted = _predicted(predictor, query, geometry)
     return to_prediction(query, predicted, round(perf_counter() - start, MICROSECOND))
+
+
+def _geometry(
+    dataset: Dataset, method: Method, config: RunConfig, scene: RecordedScene, query: Query
+) -> TrueGeometry | SceneShapes | None:
+    """What a method gets beside the query."""
+    if method.uses_true_geometry:
+        return dataset.geometry.true_geometry(scene.truth_of(query.id))
+    if method.reads == "shapes":
+        return scene.shapes if config.shapes is None else _given_shapes(config.shapes, config.assembly)
+    return None
+
+
+@lru_cache(maxsize=1)
+def _given_shapes(folder: str, assembly: str | None) -> SceneShapes:
+    """The shapes of a folder."""
+    return resolved(READ_SHAPES)(Path(folder), assembly).shapes
 
 
 @lru_cache(maxsize=1)
@@ -178,7 +203,7 @@ def _made(root: Path, config: RunConfig) -> tuple[Method, Dataset, Predictor]:
     return method, dataset, make_predictor(method, dataset, config.seed)
 
 
-def _predicted(predictor: Predictor, query: Query, geometry: TrueGeometry | None) -> PredictedMotion:
+def _predicted(predictor: Predictor, query: Query, geometry: TrueGeometry | SceneShapes | None) -> PredictedMotion:
     """What the method returns; its errors become one line that names the query."""
     try:
         return predictor(query, geometry)
@@ -249,6 +274,7 @@ def _manifest(config: RunConfig, method: Method, dataset: Dataset, tracks: set[s
         predicts=method.predicts,
         learned=method.learned,
         uses_true_geometry=method.uses_true_geometry,
+        reads=method.reads,
         control=method.control,
         masks=method.masks,
         paper_row=method.paper_row,
@@ -277,6 +303,8 @@ def _command(config: RunConfig, dataset: Dataset, out: Path) -> str:
     words = [*program, "predict", name, "--split", *config.splits]
     words += ["--weights", *config.weights] if config.weights else []
     words += ["--masks", "predicted"] if name != config.name else []
+    words += ["--shapes", config.shapes] if config.shapes else []
+    words += ["--assembly", config.assembly] if config.assembly else []
     words += ["--tracks", *config.tracks] if config.tracks else []
     words += ["--seed", str(config.seed)] if config.seed else []
     words += ["--limit", str(config.limit)] if config.limit is not None else []

@@ -72,6 +72,8 @@ class Manifest:
     """Whether anything was fitted to data."""
     uses_true_geometry: Flag
     """Whether the method reads meshes or poses of the ground truth."""
+    reads: Annotated[str, _one_of(("image", "shapes"))] = "image"
+    """What it reads of the scene: the image, or the meshes of its parts and kits too, without poses."""
     control: Flag = False
     """Whether this is a control and no method, such as the unchanged initial guess."""
     paper_row: ShortLine = ""

@@ -7,9 +7,9 @@ import pytest
 
 from kit1000.camera import Camera
 from kit1000.known_shapes.disparity import DisparityImage
+from kit1000.known_shapes.known_kits import KITS
 from kit1000.known_shapes.shapes import StandingShape
 from kit1000.known_shapes.support import Support, seen_support
-from kit1000.labelling.known_kits import KITS
 from kit1000.perception.sensor_facts import SensorFacts
 from kit1000.pose import Pose
 from kit1000.rng import stream

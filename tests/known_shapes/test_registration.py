@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from kit1000.errors import InputError
+from kit1000.known_shapes.known_kits import KITS
 from kit1000.known_shapes.registration import RegisteredScene, register_scene
-from kit1000.labelling.known_kits import KITS
 from kit1000.perception.sensor_facts import SensorFacts
 from kit1000.pose import Pose
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth

@@ -13,8 +13,8 @@ from kit1000.dataset.json_rows import FORMAT, assembly_row, kit_row, part_row
 from kit1000.dataset.mesh_files import glb_bytes
 from kit1000.files import write_bytes, write_json
 from kit1000.kits.assembly import AssemblyPlan, SidePlate, build_assembly
+from kit1000.known_shapes.known_kits import KITS, KnownKits
 from kit1000.known_shapes.registration import Agreement
-from kit1000.labelling.known_kits import KITS, KnownKits
 from kit1000.labelling.label_records import LabelledBody, LabelRecord
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose

@@ -10,7 +10,7 @@ import pytest
 from kit1000.dataset.mesh_files import stl_bytes
 from kit1000.errors import InputError
 from kit1000.export.own_part import KitOptions, make_kit_from_file
-from kit1000.labelling.known_kits import kits_of_files, kits_of_folder, read_known_kits
+from kit1000.known_shapes.known_kits import kits_of_files, kits_of_folder, read_known_kits
 from kit1000.pose import Pose
 from tests.samples.kits import sample_kit, sample_part
 from tests.samples.labelled_scenes import sample_kits, shapes_folder

@@ -19,7 +19,7 @@ from kit1000.mesh import Mesh, solid_from_mesh
 from kit1000.parts.family import part_of_mesh
 from kit1000.parts.files.read import read_mesh
 from kit1000.pose import Pose
-from kit1000.values import Assembly, Kit, Mount, Part, Slot
+from kit1000.values import Assembly, Kit, Mount, Part, SceneShapes, Slot
 
 KITS = "kits"  # name of the kits among the bodies of a scene
 REPORT = "report.json"  # beside a kit that `kit1000 kit` made
@@ -49,9 +49,18 @@ class KnownKits:
             raise InputError(f"no part {name!r}; {did_you_mean(name, known)}there are {', '.join(known)}")
         return known[name]
 
+    @property
+    def shapes(self) -> SceneShapes:
+        """The shapes as a method gets them."""
+        return SceneShapes(self.assembly.mesh, {part.id: part.mesh for part in sorted(self.parts, key=_id)})
+
     def shape(self, name: str) -> KnownShape:
         """The shape of a body: KITS, or the id of a part."""
         return self.kit_shape if name == KITS else KnownShape.of(name, self.part(name).mesh)
+
+
+def _id(part: Part) -> str:
+    return part.id
 
 
 def read_known_kits(source: dict[str, Any]) -> KnownKits:
@@ -62,7 +71,12 @@ def read_known_kits(source: dict[str, Any]) -> KnownKits:
 
 
 def kits_of_folder(folder: Path, assembly_id: str | None = None) -> KnownKits:
-    """An assembly of a dataset folder, such as one of the preset `print`; None: the only one of the folder."""
+    """An assembly of a dataset folder, such as one of the preset `print`, or the kit in a folder of `kit1000 kit`.
+
+    assembly_id: None for the only one of the folder.
+    """
+    if (folder / "kit.stl").is_file() and not (folder / "dataset.json").is_file():
+        return kits_of_files(folder / "kit.stl", folder / "part.stl")
     geometry = Geometry(folder)
     known = sorted(geometry.assemblies)
     if assembly_id is None and len(known) != 1:
