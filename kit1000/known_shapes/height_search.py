@@ -22,7 +22,7 @@ from scipy.ndimage import binary_dilation, grey_dilation, maximum_filter
 
 from kit1000.camera import Camera
 from kit1000.known_shapes.disparity import DisparityImage
-from kit1000.known_shapes.shapes import KnownShape, StandingShape, table_frame
+from kit1000.known_shapes.shapes import KnownShape, StandingShape, apart, table_frame
 from kit1000.pose import Pose
 from kit1000.sim.render import render
 
@@ -155,7 +155,7 @@ class HeightGrid:
         found.sort(key=lambda place: -place.score)
         kept: list[Place] = []
         for place in found:
-            at_spot = [each.shape for each in kept if _apart(each.shape, place.shape) < SPOT]
+            at_spot = [each.shape for each in kept if apart(each.shape, place.shape) < SPOT]
             if place.score <= 0 or len(kept) == most:
                 break
             if len(at_spot) < most_a_spot and not any(_same(each, place.shape) for each in at_spot):
@@ -172,13 +172,9 @@ def _peaks(scores: np.ndarray) -> Iterator[tuple[int, int]]:
     yield from zip(rows[top].tolist(), columns[top].tolist(), strict=True)
 
 
-def _apart(a: StandingShape, b: StandingShape) -> float:
-    return float(np.hypot(*(a.place[:2] - b.place[:2])))
-
-
 def _same(a: StandingShape, b: StandingShape) -> bool:
     turn = abs((a.place[2] - b.place[2] + np.pi) % (2 * np.pi) - np.pi)
-    return a.level is b.level and turn < SAME_YAW and _apart(a, b) < SAME_SPOT
+    return a.level is b.level and turn < SAME_YAW and apart(a, b) < SAME_SPOT
 
 
 def templates(shape: KnownShape, yaws: int) -> list[_Template]:

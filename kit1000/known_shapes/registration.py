@@ -18,15 +18,18 @@ from kit1000.errors import InputError
 from kit1000.known_shapes.disparity import DisparityImage
 from kit1000.known_shapes.fit import COARSE, FINE, fit
 from kit1000.known_shapes.height_search import HeightGrid, Place, templates
-from kit1000.known_shapes.shapes import KnownShape, ShapeDistance, StandingShape, neighbours
+from kit1000.known_shapes.shapes import KnownShape, ShapeDistance, StandingShape, apart, neighbours
 from kit1000.known_shapes.support import Support, seen_support
 from kit1000.perception.sensor_facts import SensorFacts
 from kit1000.pose import Pose
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth
 
 KIT_YAWS, PART_YAWS = 72, 24
-KIT_PLACES, PART_PLACES, ALL_PLACES = 6, 4, 10  # that are refined: of the kits, of a part over a mask, and anywhere
+KIT_PLACES, PART_PLACES = 6, 6  # that are refined, of the kits, and of a part over a mask
+SCREENED = 24  # places of a part over a mask that are compared as they are
 MASK_CELLS = 8  # about a mask, in which a part is searched
+WORSE_SCORE = 0.25  # below its best score elsewhere a part is not refined over a mask
+RIVALS, SPOT = 6, 25e-3  # of a part that are compared beside all other bodies, and [m] from it
 OTHERS_REACH = 2  # [px] about another mask, whose pixels tell nothing about a part
 GAP = 0.05  # [m] up to which shapes are rendered together
 BADLY_EXPLAINED = 0.045  # of the pixels about a shape: it is searched again
@@ -146,9 +149,11 @@ class _Registration:
         bodies: list[StandingShape | None] = [self._kits(kits, rivals), *([None] * len(parts))]
         self._over_masks(parts, bodies, rivals)
         self._refine(bodies, FINE[:2])
+        self._choose(bodies, rivals)
         for _ in range(AGAIN):
             if not self._search_again(parts, bodies, rivals):
                 break
+        self._choose(bodies, rivals)
         scale, spread = self._scale(bodies, scale_spread)
         self._refine(bodies, FINE, scale)
         labels = [self._mask_of(body, scale) for body in bodies if body is not None]
@@ -192,9 +197,10 @@ class _Registration:
         best: dict[tuple[int, int], StandingShape] = {}
         for i, part in enumerate(parts):
             views = templates(part, PART_YAWS)
+            places = [grid.places(part, views, SCREENED, SCREENED) if grid else [] for grid in grids.values()]
+            least = max((found[0].score for found in places if found), default=0.0) - WORSE_SCORE
             for j, label in enumerate(masks):
-                grid = grids[label]
-                for place in grid.places(part, views, PART_PLACES, PART_PLACES) if grid else ():
+                for place in self._screened([each for each in places[j] if each.score > least], kits, used[label]):
                     unexplained, shape = self._coarse(place, kits, used[label])
                     rivals.setdefault(part.name, []).append((unexplained, shape))
                     gain = self.small.gain_of(shape, neighbours(shape, kits, GAP), used[label])
@@ -203,10 +209,35 @@ class _Registration:
         for i, j in zip(*linear_sum_assignment(gains, maximize=True), strict=True):
             bodies[1 + i] = best.get((i, j))
 
+    def _screened(
+        self, places: Sequence[Place], others: Sequence[StandingShape], used: np.ndarray | None = None
+    ) -> list[Place]:
+        """The places that explain the most as they are: all faces and yaws of one spot have similar heights."""
+
+        def gain(place: Place) -> float:
+            return self.small.gain_of(place.shape, neighbours(place.shape, others, GAP), used)
+
+        return sorted(places, key=gain, reverse=True)[:PART_PLACES]
+
     def _used(self, label: int) -> np.ndarray:
         """Pixels of the small image that no other part's mask has."""
         others = (self.labels >= FIRST_PART_LABEL) & (self.labels != label)
         return np.logical_not(binary_dilation(others, iterations=OTHERS_REACH))[::2, ::2]
+
+    def _choose(self, bodies: list[StandingShape | None], rivals: dict[str, list[tuple[float, StandingShape]]]) -> None:
+        """Exchange each part for a rival at its spot that explains more beside the other bodies."""
+        for i, body in enumerate(bodies):
+            if body is None or i == 0:
+                continue
+            at_spot = [entry for entry in rivals.get(body.shape.name, []) if apart(entry[1], body) < SPOT]
+            most = self.small.gain_of(body, neighbours(body, bodies, GAP))
+            for _, rival in sorted(at_spot, key=lambda entry: entry[0])[:RIVALS]:
+                others = [other for k, other in enumerate(bodies) if k != i]
+                moved = fit(self.small, rival, neighbours(rival, others, GAP), reaches=(COARSE[-1], *FINE[:2])).shape
+                gain = self.small.gain_of(moved, neighbours(moved, others, GAP))
+                if gain > most:
+                    most, bodies[i] = gain, moved
+        self._refine(bodies, FINE[:2])
 
     def _search_again(
         self,
@@ -223,7 +254,8 @@ class _Registration:
             part, rest = parts[i - 1], [other for k, other in enumerate(bodies) if k != i]
             now = bodies[i]
             most = LEAST_GAIN if now is None else self.image.gain_of(now, neighbours(now, rest, GAP))
-            for place in grid.places(part, templates(part, PART_YAWS), ALL_PLACES, PART_PLACES):
+            places = grid.places(part, templates(part, PART_YAWS), 2 * SCREENED, SCREENED)
+            for place in self._screened(places, good):
                 unexplained, shape = self._coarse(place, good)
                 gain = self.image.gain_of(shape, neighbours(shape, rest, GAP))
                 if gain > most:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.spatial import ConvexHull, KDTree
@@ -100,9 +100,7 @@ class StandingShape:
 
     def camera_from_body(self, scale: float = 1.0) -> Pose:
         """Its pose in true lengths. scale: measured over true depth."""
-        x, y, yaw = self.place
-        table = Pose(self.table.wxyz, self.table.xyz / scale)
-        return table @ Pose.from_rotvec((0.0, 0.0, yaw), (x / scale, y / scale, 0.0)) @ self.level
+        return _camera_from_body(self, scale)
 
     @property
     def radius(self) -> float:
@@ -111,7 +109,7 @@ class StandingShape:
 
     def near(self, other: StandingShape, gap: float) -> bool:
         """Whether another shape may be within a gap [m]."""
-        return float(np.linalg.norm(self.place[:2] - other.place[:2])) < self.radius + other.radius + gap
+        return apart(self, other) < self.radius + other.radius + gap
 
     @staticmethod
     def by_pose(shape: KnownShape, support: Support, camera_from_body: Pose, scale: float = 1.0) -> StandingShape:
@@ -123,6 +121,13 @@ class StandingShape:
         flat = (table.inverse() @ measured).rotation_matrix() @ level.rotation_matrix().T
         foot = table.inverse().apply(measured.apply(np.zeros(3)) + measured.rotate(level.inverse().xyz) * scale)
         return StandingShape(shape, level, np.array([*foot[:2], np.arctan2(flat[1, 0], flat[0, 0])]), table)
+
+
+@lru_cache(maxsize=64)
+def _camera_from_body(standing: StandingShape, scale: float) -> Pose:
+    x, y, yaw = standing.place
+    table = Pose(standing.table.wxyz, standing.table.xyz / scale)
+    return table @ Pose.from_rotvec((0.0, 0.0, yaw), (x / scale, y / scale, 0.0)) @ standing.level
 
 
 def table_frame(support: Support) -> Pose:
@@ -148,6 +153,11 @@ class ShapeDistance:
         """[m] to the neighbour of a rank, nearly the largest."""
         distances = np.reshape(self._tree.query(points, k=rank)[0], (len(points), rank))
         return float(np.percentile(distances[:, -1], FARTHEST))
+
+
+def apart(a: StandingShape, b: StandingShape) -> float:
+    """[m] along the table between the middles of two shapes."""
+    return float(np.hypot(*(a.place[:2] - b.place[:2])))
 
 
 def neighbours(shape: StandingShape, others: Sequence[StandingShape | None], gap: float) -> list[StandingShape]:
