@@ -2,7 +2,7 @@
 
     python bench/quality/labelling.py data/tiny --splits test train val --out results/labelling.json
 
-The noisy image is rounded to a unit and labelled without its truth. Poses are then compared with the truth in the
+The noisy image is rounded to a unit and labelled without its truth, by masks that are found in it. Poses are then compared with the truth in the
 camera frame, up to the symmetry of the shape. The true camera is that of the ideal image. "Relative" is the pose of a
 part relative to the kits; a score depends on it alone.
 """
@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from time import process_time
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import tyro
@@ -26,7 +26,9 @@ from kit1000.known_shapes.known_kits import KITS
 from kit1000.known_shapes.registration import RegisteredBody, RegisteredScene, register_scene
 from kit1000.known_shapes.shapes import KnownShape, ShapeDistance
 from kit1000.mesh import Mesh
-from kit1000.perception.sensor_facts import sensor_of
+from kit1000.perception.segmentation.instances import segmented
+from kit1000.perception.segmentation.predicted_masks import mask_networks
+from kit1000.perception.sensor_facts import sensor_of, simulated_sensor
 from kit1000.pose import Pose
 from kit1000.sim.sensors import DEPTH_GRID
 from kit1000.symmetry import Symmetry
@@ -77,6 +79,8 @@ class Labelling:
     """Number of scenes of each split; all when absent."""
     unit_mm: float = 1.0
     """Unit of the depths."""
+    masks: Literal["found", "given"] = "found"
+    """Masks that are found in the depth image, as an import finds them, or those of the dataset."""
     out: Path | None = None
     """JSON file of the tables, such as results/labelling.json."""
 
@@ -86,8 +90,9 @@ def main(options: Labelling) -> None:
     dataset, measurement, rows = Dataset(options.data), Measurement.begin(Dataset(options.data)), []
     chosen = [scene for split in options.splits for scene in list(dataset.split(split, truth=True))[: options.scenes]]
     for recorded in tqdm(chosen, desc="scenes", unit="", disable=None):
-        rows += list(scene_rows(recorded, rounded_image(recorded, options.unit_mm / MM)))
-    add_tables(measurement, rows, f"{len(chosen)} scenes, depths in {options.unit_mm:g} mm, masks given")
+        image = rounded_image(recorded, options.unit_mm / MM)
+        rows += list(scene_rows(recorded, with_found_masks(image) if options.masks == "found" else image))
+    add_tables(measurement, rows, f"{len(chosen)} scenes, depths in {options.unit_mm:g} mm, masks {options.masks}")
     measurement.report(options.out)
 
 
@@ -100,10 +105,17 @@ def rounded_image(recorded: RecordedScene, unit: float) -> LabelledDepth:
     return LabelledDepth(view, image.labels)
 
 
+def with_found_masks(image: LabelledDepth) -> LabelledDepth:
+    """The image with masks from its depths alone."""
+    restorer, finder = mask_networks()
+    return LabelledDepth(image.view, segmented(image.view, simulated_sensor(SENSOR), 1.0, restorer, finder))
+
+
 def scene_rows(recorded: RecordedScene, image: LabelledDepth) -> Iterator[Row]:
     """The errors of each body of a scene; all rows hold those of the depth scale."""
     (kits, kits_pose), *parts = recorded.bodies()[1:]
-    sensor, shown = sensor_of(recorded.split.dataset.summary, SENSOR), set(np.unique(image.labels).tolist())
+    sensor = sensor_of(recorded.split.dataset.summary, SENSOR)
+    shown = set(np.unique(recorded.labelled_depth(SENSOR).labels).tolist())
     names = {f"part {i}": i for i in range(len(parts)) if FIRST_PART_LABEL + i in shown}
     shapes = [KnownShape.of(name, parts[i][0]) for name, i in names.items()]
     seconds, found = timed(lambda: register_scene(image, sensor, KnownShape.upright(KITS, kits), shapes), process_time)
