@@ -2,9 +2,9 @@
 
     python bench/quality/labelling.py data/tiny --splits test train val --out results/labelling.json
 
-The noisy image is rounded to a unit and labelled without its truth, by masks that are found in it. Poses are then compared with the truth in the
-camera frame, up to the symmetry of the shape. The true camera is that of the ideal image. "Relative" is the pose of a
-part relative to the kits; a score depends on it alone.
+The noisy image is rounded to a unit and labelled without its truth, by masks that are found in it. Poses are then
+compared with the truth in the camera frame, up to the symmetry of the shape. The true camera is that of the ideal
+image. "Relative" is the pose of a part relative to the kits; a score depends on it alone.
 """
 
 from __future__ import annotations
