@@ -36,11 +36,11 @@ BADLY_EXPLAINED = 0.045  # of the pixels about a shape: it is searched again
 LEAST_GAIN = 50.0  # pixels that a shape must explain
 AGAIN = 2  # searches of shapes that are explained badly
 SCALE_SPREAD = 1.7e-3  # of the depth scale of a stereo camera: uniform within 0.3 %
-EDGE_CORRELATION = 16.0  # by which edges that vary slowly make the scale less certain than independent pixels would
-LEAST_SCALE_SPREAD = 1e-3  # of the scale by one shape: the amounts by which edges extend are those of the model
+EDGE_CORRELATION = 25.0  # by which edges that vary slowly make the scale less certain than independent pixels would
+LEAST_SCALE_SPREAD = 1.5e-3  # of the scale by one shape: the amounts by which edges extend are those of the model
 GOOD, LEAST_UNEXPLAINED, MARGIN = 0.035, 0.01, 2.0  # of what a certain pose and its rival leave unexplained
 MOST_SCALE = 3 * SCALE_SPREAD  # beyond, no camera is believed
-MOST_SPREAD = 1.2e-3  # [m] of a body along the line of sight
+MOST_SPREAD = 1e-3  # [m] of a body along the line of sight
 SAME_POSE = 1e-3  # [m] by which poses differ that count as one
 
 
