@@ -7,6 +7,7 @@ for in all that is left. Every fit is judged by what it leaves unexplained of th
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -41,7 +42,7 @@ LEAST_SCALE_SPREAD = 1.5e-3  # of the scale by one shape: the amounts by which e
 GOOD, LEAST_UNEXPLAINED, MARGIN = 0.035, 0.01, 2.0  # of what a certain pose and its rival leave unexplained
 MOST_SCALE = 3 * SCALE_SPREAD  # beyond, no camera is believed
 MOST_SPREAD = 1e-3  # [m] of a body along the line of sight
-SAME_POSE = 1e-3  # [m] by which poses differ that count as one
+SAME_POSE = 3e-3  # [m] by which the surfaces of two poses differ that count as one
 
 
 @dataclass(frozen=True)
@@ -142,35 +143,37 @@ class _Registration:
         if grid is None:
             raise InputError("nothing stands on the table: expected kits and parts in view")
         self.grid = grid
+        self.rivals: defaultdict[str, list[tuple[float, StandingShape]]] = defaultdict(list)
+        """For each shape all its refined places, with what they leave unexplained."""
 
     def scene(self, kits: KnownShape, parts: Sequence[KnownShape], scale_spread: float) -> RegisteredScene:
         """All steps."""
-        rivals: dict[str, list[tuple[float, StandingShape]]] = {}
-        bodies: list[StandingShape | None] = [self._kits(kits, rivals), *([None] * len(parts))]
-        self._over_masks(parts, bodies, rivals)
+        standing = self._kits(kits)
+        bodies: list[StandingShape | None] = [standing, *self._over_masks(parts, standing)]
         self._refine(bodies, FINE[:2])
-        self._choose(bodies, rivals)
+        self._choose(bodies)
         for _ in range(AGAIN):
-            if not self._search_again(parts, bodies, rivals):
+            if not self._search_again(parts, bodies):
                 break
-        self._choose(bodies, rivals)
+        self._choose(bodies)
         scale, spread = self._scale(bodies, scale_spread)
         self._refine(bodies, FINE, scale)
-        labels = [self._mask_of(body, scale) for body in bodies if body is not None]
-        found = [
-            RegisteredBody(body, label if labels.count(label) == 1 else 0, self._agreement(body, bodies, rivals, scale))
-            for body, label in zip(filter(None, bodies), labels, strict=True)
-        ]
-        found[0] = replace(found[0], label=ASSEMBLY_LABEL)
-        return RegisteredScene(tuple(found), self.image.support, scale, spread)
+        found = [body for body in bodies if body is not None]
+        labels = [ASSEMBLY_LABEL, *(self._mask_of(body, scale) for body in found[1:])]
+        registered = (
+            RegisteredBody(body, label if labels.count(label) == 1 else 0, self._agreement(body, found, scale))
+            for body, label in zip(found, labels, strict=True)
+        )
+        return RegisteredScene(tuple(registered), self.image.support, scale, spread)
 
-    def _kits(self, kits: KnownShape, rivals: dict[str, list[tuple[float, StandingShape]]]) -> StandingShape:
+    def _kits(self, kits: KnownShape) -> StandingShape:
+        """The kits, found in the whole image."""
         places = self.grid.places(kits, templates(kits, KIT_YAWS), KIT_PLACES, KIT_PLACES)
         if not places:
             raise InputError("the image shows no kits of this shape")
         scored = [self._coarse(place, ()) for place in places]
         scored.sort(key=lambda each: each[0])
-        rivals[kits.name] = scored
+        self.rivals[kits.name] = scored
         return fit(self.image, scored[0][1], reaches=FINE[:2]).shape
 
     def _coarse(
@@ -182,17 +185,11 @@ class _Registration:
         shape = fit(self.small, shape, beside, reaches=COARSE, used=used).shape
         return self.small.misfit(shape, beside, used=used), shape
 
-    def _over_masks(
-        self,
-        parts: Sequence[KnownShape],
-        bodies: list[StandingShape | None],
-        rivals: dict[str, list[tuple[float, StandingShape]]],
-    ) -> None:
-        """Give each part to a mask, so that all together explain the most pixels."""
+    def _over_masks(self, parts: Sequence[KnownShape], kits: StandingShape) -> list[StandingShape | None]:
+        """Each part over a mask, so that all together explain the most pixels; None for a part that no mask fits."""
         masks = [int(label) for label in np.unique(self.labels) if label >= FIRST_PART_LABEL]
         grids = {label: self.grid.of_mask(label, MASK_CELLS) for label in masks}
         used = {label: self._used(label) for label in masks}
-        kits = [bodies[0]] if bodies[0] is not None else []
         gains = np.zeros((len(parts), len(masks) + len(parts)))  # a part may be over no mask
         best: dict[tuple[int, int], StandingShape] = {}
         for i, part in enumerate(parts):
@@ -200,14 +197,13 @@ class _Registration:
             places = [grid.places(part, views, SCREENED, SCREENED) if grid else [] for grid in grids.values()]
             least = max((found[0].score for found in places if found), default=0.0) - WORSE_SCORE
             for j, label in enumerate(masks):
-                for place in self._screened([each for each in places[j] if each.score > least], kits, used[label]):
-                    unexplained, shape = self._coarse(place, kits, used[label])
-                    rivals.setdefault(part.name, []).append((unexplained, shape))
-                    gain = self.small.gain_of(shape, neighbours(shape, kits, GAP), used[label])
+                for place in self._screened([each for each in places[j] if each.score > least], [kits], used[label]):
+                    unexplained, shape = self._coarse(place, [kits], used[label])
+                    self.rivals[part.name].append((unexplained, shape))
+                    gain = self.small.gain_of(shape, neighbours(shape, [kits], GAP), used[label])
                     if gain > gains[i, j]:
                         gains[i, j], best[i, j] = gain, shape
-        for i, j in zip(*linear_sum_assignment(gains, maximize=True), strict=True):
-            bodies[1 + i] = best.get((i, j))
+        return [best.get(pair) for pair in zip(*linear_sum_assignment(gains, maximize=True), strict=True)]
 
     def _screened(
         self, places: Sequence[Place], others: Sequence[StandingShape], used: np.ndarray | None = None
@@ -224,12 +220,12 @@ class _Registration:
         others = (self.labels >= FIRST_PART_LABEL) & (self.labels != label)
         return np.logical_not(binary_dilation(others, iterations=OTHERS_REACH))[::2, ::2]
 
-    def _choose(self, bodies: list[StandingShape | None], rivals: dict[str, list[tuple[float, StandingShape]]]) -> None:
+    def _choose(self, bodies: list[StandingShape | None]) -> None:
         """Exchange each part for a rival at its spot that explains more beside the other bodies."""
         for i, body in enumerate(bodies):
             if body is None or i == 0:
                 continue
-            at_spot = [entry for entry in rivals.get(body.shape.name, []) if apart(entry[1], body) < SPOT]
+            at_spot = [entry for entry in self.rivals[body.shape.name] if apart(entry[1], body) < SPOT]
             most = self.small.gain_of(body, neighbours(body, bodies, GAP))
             for _, rival in sorted(at_spot, key=lambda entry: entry[0])[:RIVALS]:
                 others = [other for k, other in enumerate(bodies) if k != i]
@@ -239,12 +235,7 @@ class _Registration:
                     most, bodies[i] = gain, moved
         self._refine(bodies, FINE[:2])
 
-    def _search_again(
-        self,
-        parts: Sequence[KnownShape],
-        bodies: list[StandingShape | None],
-        rivals: dict[str, list[tuple[float, StandingShape]]],
-    ) -> bool:
+    def _search_again(self, parts: Sequence[KnownShape], bodies: list[StandingShape | None]) -> bool:
         """Search parts that are explained badly in what the others leave; returns whether there were any."""
         cost = [1.0 if body is None else self.image.misfit(body, neighbours(body, bodies, GAP)) for body in bodies]
         bad = [i for i in np.argsort(cost)[::-1].tolist() if i > 0 and cost[i] > BADLY_EXPLAINED]
@@ -260,7 +251,7 @@ class _Registration:
                 gain = self.image.gain_of(shape, neighbours(shape, rest, GAP))
                 if gain > most:
                     most, bodies[i] = gain, shape
-                    rivals.setdefault(part.name, []).append((unexplained, shape))
+                    self.rivals[part.name].append((unexplained, shape))
         if bad:
             self._refine(bodies, FINE[:2])
         return bool(bad)
@@ -282,22 +273,16 @@ class _Registration:
             certainty, total = certainty + own, total + own * found.log_scale
         return float(np.exp(total / certainty)), float(certainty**-0.5)
 
-    def _agreement(
-        self,
-        body: StandingShape,
-        bodies: Sequence[StandingShape | None],
-        rivals: dict[str, list[tuple[float, StandingShape]]],
-        scale: float,
-    ) -> Agreement:
+    def _agreement(self, body: StandingShape, bodies: Sequence[StandingShape], scale: float) -> Agreement:
         """The agreement of a body, with its best rival."""
         beside, distance = neighbours(body, bodies, GAP), ShapeDistance(body.shape.mesh)
-        others = sorted(rivals.get(body.shape.name, []), key=lambda each: each[0])
+        others = sorted(self.rivals[body.shape.name], key=lambda each: each[0])
         rival = next((cost for cost, other in others if self._differs(body, other, distance)), None)
         return replace(agreement(self.image, body, beside, scale), rival=rival)
 
     @staticmethod
     def _differs(body: StandingShape, other: StandingShape, distance: ShapeDistance) -> bool:
-        return distance.between(body.camera_from_body(), other.camera_from_body()) > 3 * SAME_POSE
+        return distance.between(body.camera_from_body(), other.camera_from_body()) > SAME_POSE
 
     def _mask_of(self, body: StandingShape, scale: float) -> int:
         """The mask of a part with most of the body's pixels; 0 if there is none."""

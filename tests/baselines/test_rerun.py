@@ -25,7 +25,7 @@ def made(mini: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Predictions of a method that draws, also for the curves."""
     out = tmp_path_factory.mktemp("made") / "chance"
     predict(run_config("chance", ("test", "curves")), mini, out, 1)
-    assert benchmark(["score", str(out), "--data", str(mini), "--no-cache"]) == 0
+    assert benchmark(["score", str(out), "--data", str(mini)]) == 0
     return out
 
 
