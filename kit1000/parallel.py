@@ -20,6 +20,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import partial
 from itertools import islice
+from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any
 
@@ -86,6 +87,7 @@ def _map(count: int, begun: list[Any], function: Callable[[Any], Any], jobs: Ite
 
     limit = parallel_config("loky", inner_max_num_threads=1, initializer=start_worker, initargs=(os.getpid(),))
     options: dict[str, Any] = {"pre_dispatch": JOBS_PER_WORKER * count, "batch_size": 1, "max_nbytes": None}
+    resource_tracker.ensure_running()  # Python unblocks SIGINT when it starts this process, so it is started before
     with limit, _sigint_blocked():  # workers inherit the block: Ctrl-C ends them through this process
         pool = Parallel(count, return_as="generator_unordered", **options)
         begun.append(pool(delayed(_run_job)(function, job) for job in jobs))
