@@ -83,9 +83,10 @@ def changed(source: str, place: int) -> tuple[str, str]:
     tree = ast.parse(source)
     node: Any = places(tree)[place]
     before = ast.unparse(node)
-    if isinstance(node, ast.Constant):
+    kind = type(node)  # not isinstance, by which pyright narrows Any
+    if kind is ast.Constant:
         node.value += 1 if isinstance(node.value, int) else node.value / 10 or 1.0
-    elif isinstance(node, ast.Compare):
+    elif kind is ast.Compare:
         node.ops[0] = SWAPS[type(node.ops[0])]()
     else:
         node.op = SWAPS[type(node.op)]()
