@@ -144,7 +144,7 @@ class DisparityImage:
         """
         box = self.box(shape)
         exact, inside = self.rendered([shape, *others], box, scale)
-        compared = self._compared(box, inside, used)
+        compared = self.compared(box, inside, used)
         if not compared.any():
             return 1.0
         return float(self._unexplained(exact, box)[compared].mean())
@@ -159,7 +159,7 @@ class DisparityImage:
         box = self.box(shape)
         exact, inside = self.rendered([shape, *others], box, 1.0)
         without = self.rendered(others, box, 1.0)[0] if others else self.table[box.window]
-        compared = self._compared(box, inside, used)
+        compared = self.compared(box, inside, used)
         return float((self._unexplained(without, box) - self._unexplained(exact, box))[compared].sum())
 
     def _unexplained(self, exact: np.ndarray, box: Box) -> np.ndarray:
@@ -167,7 +167,7 @@ class DisparityImage:
         square = np.square(self.measured[box.window] - mean) / (variance + self.noise**2 + self.bend**2)
         return np.minimum(square / REACH**2, 1.0)
 
-    def _compared(self, box: Box, inside: np.ndarray, used: np.ndarray | None) -> np.ndarray:
-        """(h, w) bool: pixels with a return in and about a shape."""
+    def compared(self, box: Box, inside: np.ndarray, used: np.ndarray | None) -> np.ndarray:
+        """(h, w) bool: pixels with a return in and about a shape. inside: (h, w) bool, of the shape; used: (H, W)."""
         compared = np.asarray(binary_dilation(inside, iterations=SEEN), bool) & (self.measured[box.window] > 0)
         return compared if used is None else compared & used[box.window]

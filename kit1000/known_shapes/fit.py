@@ -10,9 +10,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import binary_dilation
 
-from kit1000.known_shapes.disparity import SEEN, SHARP, DisparityImage
+from kit1000.known_shapes.disparity import SHARP, DisparityImage
 from kit1000.known_shapes.shapes import StandingShape
 from kit1000.perception.calibration.table import tukey_weights
 
@@ -22,7 +21,7 @@ LIMITS = np.array([4e-3, 4e-3, 0.12])  # [m], [m], [rad] of one step
 LEAST_STEP = np.array([3e-5, 3e-5, 3e-4])  # below which a shape has arrived
 COARSE, FINE = (15.0, 10.0, 8.0), (6.0, 5.0, 5.0)  # standard deviations of Tukey's weights, by round
 FAR = 9  # [px] such a window while a shape may be some millimetres away
-WHOLE_SPREAD = 1e3  # of a log scale that is not estimated: nothing holds it
+FIXED = 1e12  # certainty of a log scale that is not estimated
 RIDGE = 1e-6
 
 
@@ -95,9 +94,7 @@ def _equations(
     ]
     by = STEP / shape.radius
     wider = (expected(shape, scale * (1 + by)) - expected(shape, scale * (1 - by))) / (2 * by) if free_scale else None
-    kept = np.asarray(binary_dilation(inside, iterations=SEEN), bool) & (image.measured[box.window] > 0)
-    if used is not None:
-        kept &= used[box.window]
+    kept = image.compared(box, inside, used)
     v, u = np.nonzero(kept)
     rows, columns = kept.shape
     slow = np.stack([np.ones(len(v)), 2 * u / columns - 1, 2 * v / rows - 1])
@@ -105,5 +102,5 @@ def _equations(
     total = variance[kept] + image.noise**2
     residual = image.measured[box.window][kept] - mean[kept]
     weight = tukey_weights(residual, reach * np.sqrt(total)) / (total * CORRELATED)
-    prior = np.array([0.0, 0.0, 0.0, 0.0 if free_scale else WHOLE_SPREAD**4, *np.full(3, image.bend**-2)])
+    prior = np.array([0.0, 0.0, 0.0, 0.0 if free_scale else FIXED, *np.full(3, image.bend**-2)])
     return (unknown * weight) @ unknown.T + np.diag(prior), (unknown * weight) @ residual

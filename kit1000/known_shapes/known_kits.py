@@ -14,14 +14,13 @@ from kit1000.dataset.geometry import Geometry
 from kit1000.errors import InputError, MeshRefused, did_you_mean
 from kit1000.kits.goals import Design, find_goals
 from kit1000.kits.shadows import PartShadows
-from kit1000.known_shapes.shapes import KnownShape
+from kit1000.known_shapes.shapes import KITS, KnownShape
 from kit1000.mesh import Mesh, solid_from_mesh
 from kit1000.parts.family import part_of_mesh
 from kit1000.parts.files.read import read_mesh
 from kit1000.pose import Pose
 from kit1000.values import Assembly, Kit, Mount, Part, SceneShapes, Slot
 
-KITS = "kits"  # name of the kits among the bodies of a scene
 REPORT = "report.json"  # beside a kit that `kit1000 kit` made
 MM = 1e3
 OVERLAP = 1e-9  # [m^3] that a seated part may share with its kit: rounding of both files

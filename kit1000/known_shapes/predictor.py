@@ -10,16 +10,15 @@ import numpy as np
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.known_shapes.registration import SCALE_SPREAD, RegisteredBody, RegisteredScene, register_scene
-from kit1000.known_shapes.shapes import KnownShape
+from kit1000.known_shapes.shapes import KITS, KnownShape
 from kit1000.perception.calibration import camera_estimate_by
 from kit1000.perception.sensor_facts import SensorFacts, sensor_of
 from kit1000.pose import Pose
 from kit1000.predictor import PredictedMotion
 from kit1000.registration.method import TrueScene, fits_in
 from kit1000.registration.predictor import stated_clearances
-from kit1000.values import LabelledDepth, Query, SceneShapes, TrueGeometry, View
+from kit1000.values import LabelledDepth, Query, SceneShapes, TrueGeometry
 
-KITS = "kits"
 CONFIDENCE_DECIMALS = 4
 # Log odds that a motion is seated: constant, and weights of what part and kits leave unexplained, of the share of it
 # that the part's best other pose leaves less, and of what the depth scale leaves open [mm].
@@ -32,7 +31,6 @@ class _Registered:
 
     scene: RegisteredScene
     world_from_camera: Pose
-    shapes: SceneShapes
 
     def world_from(self, body: RegisteredBody) -> Pose:
         return self.world_from_camera @ self.scene.camera_from_body(body)
@@ -78,12 +76,12 @@ class KnownShapeRegistration:
             image, spread = _calibrated(query.image, sensor)
             parts = [KnownShape.of(name, mesh) for name, mesh in shapes.parts.items()]
             scene = register_scene(image, sensor, KnownShape.upright(KITS, shapes.assembly), parts, spread)
-            self._last[key] = _Registered(scene, image.view.world_from_camera, shapes)
+            self._last[key] = _Registered(scene, image.view.world_from_camera)
         return self._last[key]
 
     @staticmethod
     def _middle(found: _Registered, body: RegisteredBody) -> np.ndarray:
-        return found.world_from(body).apply(found.shapes.parts[body.name].bounds.mean(0))
+        return found.world_from(body).apply(body.standing.shape.mesh.bounds.mean(0))
 
 
 def _calibrated(image: LabelledDepth, sensor: SensorFacts) -> tuple[LabelledDepth, float]:
@@ -94,8 +92,7 @@ def _calibrated(image: LabelledDepth, sensor: SensorFacts) -> tuple[LabelledDept
         return image, SCALE_SPREAD
     estimate = camera_estimate_by(image.view, image.labels, sensor)
     spread = float(np.sqrt(np.linalg.inv(estimate.information)[6, 6])) * SCALE_SPREAD
-    view = View(estimate.view.camera, estimate.view.world_from_camera, estimate.view.depth)
-    return LabelledDepth(view, image.labels), spread
+    return LabelledDepth(estimate.view, image.labels), spread
 
 
 def _confidence(scene: RegisteredScene, kits: RegisteredBody, part: RegisteredBody) -> float:

@@ -21,6 +21,7 @@ COPLANAR_DECIMALS = 5  # of the normals of one face
 DENSE, SPARSE = 6000, 600  # points of a surface that are searched, and that are looked up
 FARTHEST = 98  # percent of the points: single ones of a sparse surface may lie farther from their neighbours
 UP = np.array([0.0, 0.0, 1.0])
+KITS = "kits"  # name of the kits among the bodies of a scene
 
 
 @dataclass(frozen=True, eq=False)
