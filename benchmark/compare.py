@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.stats import binomtest
@@ -73,7 +74,7 @@ class Comparison:
     """The comparison of two scored submissions."""
 
     a: str
-    """Name of the method."""
+    """Name of the method, and its masks."""
     b: str
     dataset_id: str
     protocol: str
@@ -128,8 +129,12 @@ def compare(a: Scores, b: Scores, tracks: Sequence[str] = (), draws: int = DRAWS
         for track in _common_tracks(a, b, tracks)
     }
     same = {key: a.summary[key] for key in SAME}
-    names = {"a": a.summary["method"], "b": b.summary["method"]}
+    names = {key: _name(each.summary) for key, each in (("a", a), ("b", b))}
     return Comparison(**names, **same, draws=draws, seed=seed, tracks=compared)
+
+
+def _name(summary: dict[str, Any]) -> str:
+    return f"{summary['method']}, masks {summary['manifest']['masks']}"
 
 
 def _common_tracks(a: Scores, b: Scores, chosen: Sequence[str]) -> list[str]:

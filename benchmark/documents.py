@@ -12,6 +12,7 @@ from pathlib import Path
 
 from benchmark.entries import Entry, read_entries
 from benchmark.measurements import Column, Measurement, Table, read_measurement
+from benchmark.protocol import ABLATION
 from benchmark.quantities import SEATED
 from benchmark.table1 import PAPER_ROWS, as_markdown, table_of
 from kit1000.errors import InputError, did_you_mean
@@ -22,6 +23,9 @@ SUBMISSIONS = "submissions"  # the name that stands for scores.json of all of th
 BLOCK = re.compile(r"<!-- result: (?P<words>[^>]+?) -->\n(?P<table>.*?)<!-- end -->", re.DOTALL)
 MARKED = re.compile(r"<!-- (result:[^>]*|end) -->")
 NAMES = (Column("method", "method"), Column("submission", "submission"))
+MASKS = Column("masks", "masks")
+IDEAL = [name for name, track in TRACKS.items() if track.sensor == "ideal"]
+NOISY = [name for name in TRACKS if name not in IDEAL]
 WITH_GUESS = PAPER_TRACKS["with user input"]
 
 
@@ -72,7 +76,8 @@ def _table(words: Sequence[str], results: Path, entries: Sequence[Entry]) -> str
         return f"{measurement.tables[table].markdown()}\n\n{caption(measurement)}"
     if table == "table1":
         return as_markdown(table_of(entries), tracks=False).rstrip("\n")
-    return f"{score_table(table, entries, others).markdown()}\n\n{setting_of(entries)}"
+    scored = score_table(table, entries, others)
+    return f"{scored.markdown()}\n\n{setting_of(entries)}" if scored.rows else "No such method is scored yet."
 
 
 def setting_of(entries: Sequence[Entry]) -> str:
@@ -96,13 +101,36 @@ def score_table(name: str, entries: Sequence[Entry], words: Sequence[str]) -> Ta
 
 
 def seated(entries: Sequence[Entry], words: Sequence[str]) -> Table:
-    """Share of parts seated on every track, one method a row."""
-    columns = [*NAMES, *(Column(track, f"`{track}`", 1, True) for track in TRACKS)]
-    table = Table("seated", "Parts seated, in percent, by track", columns)
-    for entry in chosen(entries, words):
-        tracks = entry.scores["tracks"]
-        known = {track: row.get(SEATED.key) for track, row in tracks.items() if track in TRACKS}
-        table.add(**_named(entry), **known)
+    """Share of parts seated on every track of ideal depth, one method a row."""
+    table = Table("seated", "Parts seated, in percent, by track", [*NAMES, *_tracks(IDEAL)])
+    return _with_shares(table, [entry for entry in chosen(entries, words) if not entry.knows_shapes], IDEAL)
+
+
+def noisy(entries: Sequence[Entry], words: Sequence[str]) -> Table:
+    """The same on noisy depth: first by masks that methods find, then by given ones."""
+    table = Table("noisy", "Parts seated on noisy depth, in percent, by track", [*NAMES, MASKS, *_tracks(NOISY)])
+    return _with_shares(table, [entry for entry in chosen(entries, words) if not entry.knows_shapes], NOISY)
+
+
+def known(entries: Sequence[Entry], words: Sequence[str]) -> Table:
+    """The same on all tracks, of methods that get the shapes of the scene."""
+    table = Table("known", "Parts of known shape seated, in percent, by track", [*NAMES, MASKS, *_tracks(TRACKS)])
+    return _with_shares(table, [entry for entry in chosen(entries, words) if entry.knows_shapes], TRACKS)
+
+
+def _tracks(tracks: Iterable[str]) -> list[Column]:
+    return [Column(track, f"`{track}`", 1, True) for track in tracks]
+
+
+def _with_shares(table: Table, entries: Sequence[Entry], tracks: Iterable[str]) -> Table:
+    """The table with a row for each entry on any of the tracks, those with given masks on noisy ones last."""
+    masks = {entry.name: next(filter(None, map(entry.masks, NOISY)), "") for entry in entries}
+    for entry in sorted(entries, key=lambda entry: masks[entry.name] == ABLATION):
+        scored = entry.scores["tracks"]
+        shares = {track: scored[track][SEATED.key] for track in tracks if track in scored}
+        named = _named(entry) | ({"masks": masks[entry.name]} if MASKS in table.columns else {})
+        if shares:
+            table.add(**named, **shares)
     return table
 
 
@@ -132,6 +160,8 @@ def readme(entries: Sequence[Entry], words: Sequence[str]) -> Table:
 
 TABLES: dict[str, Callable[[Sequence[Entry], list[str]], Table]] = {
     "seated": seated,
+    "noisy": noisy,
+    "known": known,
     "readme": readme,
 }
 

@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from benchmark.protocol import masks_of
 from kit1000.errors import InputError
 from kit1000.files import read_json
 from kit1000.submission.faults import Fault
@@ -38,6 +39,15 @@ class Entry:
     def setting(self) -> dict[str, Any]:
         """Protocol, its status, metric versions, dataset and split of the scores."""
         return {key: self.scores[key] for key in SETTING}
+
+    @property
+    def knows_shapes(self) -> bool:
+        """Whether it gets the meshes of the scene; it is compared with such methods only."""
+        return self.manifest.reads == "shapes"
+
+    def masks(self, track: str) -> str:
+        """Whose masks the figures of a track rest on, see `benchmark.protocol.masks_of`."""
+        return masks_of(self.scores, track)
 
 
 def read_entries(submissions: Path) -> tuple[Entry, ...]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +19,9 @@ from kit1000.kits import seating
 from kit1000.metrics.seating import EXACT_BANDS
 
 FOLDER = Path(__file__).parent / "protocols"
-CURRENT = "kit1000-2026-11"
+CURRENT = "kit1000-2026-12"
 MM = 1e3  # millimetres in a metre
+FOUND, ABLATION, NO_MASKS = "found", "given, an ablation", "none"  # the masks of a method where depth is noisy
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,8 @@ class Protocol:
     metric_versions: Mapping[str, int]
     """Versions by name of a metric; must be those of `kit1000.metrics.METRIC_VERSIONS`."""
     tracks: Mapping[str, Mapping[str, str | None]]
-    """{"split", "sensor", "guess"} of each track of the leaderboard."""
+    """{"split", "sensor", "guess"} of each track of the leaderboard; since kit1000-2026-12 also "masks": predicted if
+    figures by given masks are an ablation there, else given."""
     splits: tuple[str, ...]
     """Splits that can be scored; the first one is that of the leaderboard."""
     thresholds: Mapping[str, float]
@@ -64,12 +67,26 @@ class Protocol:
         return int(self.bootstrap["seed"])
 
 
+@cache
 def read_protocol(name: str = CURRENT) -> Protocol:
     """The protocol of a name. Raises InputError if there is none, or if the code differs from it."""
     known = sorted(path.stem for path in FOLDER.glob("*.json"))
     if name not in known:
         raise InputError(f"no protocol {name!r}; there are {', '.join(known)}")
     return protocol_of(read_json(FOLDER / f"{name}.json"), name)
+
+
+def masks_of(scores: Mapping[str, Any], track: str) -> str:
+    """Whose masks the figures of a track rest on: FOUND, ABLATION or NO_MASKS; empty if the protocol does not ask.
+
+    scores: the content of scores.json.
+    """
+    manifest = scores["manifest"]
+    if read_protocol(scores["protocol"]).tracks.get(track, {}).get("masks") != "predicted":
+        return ""
+    if manifest["masks"] == "predicted":
+        return FOUND
+    return NO_MASKS if manifest["control"] or manifest["uses_true_geometry"] else ABLATION
 
 
 def protocol_of(row: Mapping[str, Any], name: str) -> Protocol:

@@ -10,6 +10,7 @@ from html import escape
 from typing import Any
 
 from benchmark import quantities
+from benchmark.protocol import masks_of
 from benchmark.quantities import Quantity
 
 WIDTH = 150  # characters in a line of JSON that holds a whole object or list
@@ -121,7 +122,12 @@ def score_text(summary: Mapping[str, Any], with_breakdown: bool = False) -> str:
         shown = quantities.shown_in("text")
         header = ["track", "n", "cover %", *(quantity.heading for quantity in shown)]
         rows = [
-            [name, str(row["n"]), f"{100 * row['coverage']:.1f}", *(_cell(quantity, row) for quantity in shown)]
+            [
+                _track_name(summary, name),
+                str(row["n"]),
+                f"{100 * row['coverage']:.1f}",
+                *(_cell(quantity, row) for quantity in shown),
+            ]
             for name, row in summary["tracks"].items()
         ]
         note = "mean [95 % interval]; per cent with Wilson's interval; a missing prediction counts as no motion"
@@ -135,6 +141,11 @@ def score_text(summary: Mapping[str, Any], with_breakdown: bool = False) -> str:
         header = ["", "", "n", *(quantity.heading for quantity in shown)]
         lines += ["", track, Grid(header, list(_group_rows(groups, shown)), words=2).text()]
     return "\n".join(lines)
+
+
+def _track_name(summary: Mapping[str, Any], track: str) -> str:
+    masks = masks_of(summary, track)
+    return f"{track}, masks {masks}" if masks else track
 
 
 def _group_rows(groups: Mapping[str, Any], shown: Sequence[Quantity]) -> Iterator[list[str]]:

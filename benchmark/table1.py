@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from benchmark.entries import Entry, read_entries
+from benchmark.protocol import ABLATION
 from benchmark.quantities import POSITION, POSITION_PLAIN, ROTATION, ROTATION_PLAIN, Quantity
 from benchmark.report import Grid, json_text, versions_text
 from kit1000.errors import InputError, did_you_mean
@@ -66,6 +67,8 @@ NOTES = (
     "design pose.",
     "[lo, hi] is the 95 % interval of the mean, from a bootstrap over assemblies and parts. A missing prediction "
     "counts as no motion.",
+    "The masks of the dataset are exact to a pixel. On noisy depth methods that find theirs come first; rows by given "
+    "masks follow as an ablation. Methods that get the shapes of the scene stand on the leaderboard alone.",
     "Methods with true volumes or true geometry read the ground truth: they show what is possible with perfect "
     "perception. Controls are reference points and no methods.",
 )
@@ -85,6 +88,8 @@ class Row:
     """The paper's numbers, by track."""
     tracks: dict[str, dict[str, Any]]
     """Values of each scored track: n, coverage, and the errors as in scores.json."""
+    masks: dict[str, str]
+    """Whose masks they rest on, by noisy track, see `benchmark.protocol.masks_of`."""
 
 
 @dataclass(frozen=True)
@@ -131,7 +136,11 @@ def read_table(submissions: Path) -> Table:
 
 
 def table_of(entries: Sequence[Entry]) -> Table:
-    """The table of scored submissions: the rows of the paper, then other methods by label, then controls by label."""
+    """The table of scored submissions: the rows of the paper, then other methods by label, then controls by label.
+
+    Methods that get the shapes of the scene are not compared with them, and left out.
+    """
+    entries = [entry for entry in entries if not entry.knows_shapes]
     for entry in entries:
         _check(entry)
     reproduced = {entry.manifest.paper_row: entry for entry in entries}
@@ -162,10 +171,11 @@ def _row(
 ) -> Row:
     printed = {track: paper.printed(track) if paper else NOTHING for track in PAPER_TRACKS.values()}
     if entry is None:
-        return Row(label, kind, None, None, printed, {})
+        return Row(label, kind, None, None, printed, {}, {})
     scored = entry.scores["tracks"]
     tracks = {track: {key: scored[track][key] for key in NEEDED} for track in TRACKS if track in scored}
-    return Row(label, kind, entry.name, entry.manifest.camera_set, printed, tracks)
+    masks = {track: text for track in tracks if (text := entry.masks(track))}
+    return Row(label, kind, entry.name, entry.manifest.camera_set, printed, tracks, masks)
 
 
 def sections(table: Table) -> tuple[Section, ...]:
@@ -200,11 +210,19 @@ def _detail(table: Table, track: str) -> Section:
         if track in PAPER_TRACKS.values():
             of = {"paper": _printed} | of
         columns += [(f"{error.unit.symbol}, {name}", cell, error) for name, cell in of.items()]
-    headings = ["Method", "n", *(heading for heading, _, _ in columns)]
+    shown = sorted(table.rows, key=lambda row: row.masks.get(track) == ABLATION)
+    noisy = any(track in row.masks for row in shown)
+    headings = ["Method", *(["masks"] if noisy else []), "n", *(heading for heading, _, _ in columns)]
     rows = [
-        [row.label, _count(row, track), *(cell(row, track, error) for _, cell, error in columns)] for row in table.rows
+        [
+            row.label,
+            *([row.masks.get(track, NO_VALUE)] if noisy else []),
+            _count(row, track),
+            *(cell(row, track, error) for _, cell, error in columns),
+        ]
+        for row in shown
     ]
-    return _section(track, TRACKS[track].description, headings, rows, table.rows)
+    return _section(track, TRACKS[track].description, headings, rows, shown)
 
 
 def _section(

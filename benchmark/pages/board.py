@@ -1,4 +1,4 @@
-"""The board: for each track a table of all methods, the intervals of a column drawn on one scale."""
+"""The board: for each track a table of each group of methods, the intervals of a column drawn on one scale."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from markupsafe import Markup
 
 from benchmark import quantities
 from benchmark.entries import Entry, read_entries, unscored
+from benchmark.protocol import ABLATION
 from benchmark.quantities import Quantity
 from kit1000.errors import InputError
 from kit1000.pictures.charts import Dot, interval_mark, rounded_up
@@ -21,6 +22,14 @@ RUNTIMES = {"fast": "up to 1 s", "medium": "1 to 10 s", "slow": "over 10 s", "un
 SORTED_BY = quantities.MSSD.key  # the column by which a table is sorted at first
 MEDIAN = " median"  # behind the key of a quantity: the column of its median
 REAL = "real"  # folder of the submissions about scenes that people recorded and labelled, and the name of their track
+GROUPS = {
+    "any masks": ("", ""),
+    "found": ("Masks found in the image", "Controls and methods with true geometry read no masks."),
+    "given": ("Masks given: an ablation", "The masks of the dataset are exact to a pixel; no camera gives them."),
+    "shapes": ("Known shapes", "These methods get the meshes of the scene, without poses."),
+    "shapes, given": ("Known shapes, masks given: an ablation", "They get exact masks too."),
+}
+"""Title and description of the tables of a track, in their order."""
 REAL_TEXT = "Scenes of real cameras, labelled by people: printed kits, depth as recorded."
 
 
@@ -112,16 +121,25 @@ class Row:
 
 
 @dataclass(frozen=True, eq=False)
+class Group:
+    """A table of methods that are compared with each other."""
+
+    title: str
+    description: str
+    rows: tuple[Row, ...]
+    scale_ends: Mapping[str, str]
+    """The end of the scale of a column with drawn intervals, by its key; shown in its head."""
+
+
+@dataclass(frozen=True, eq=False)
 class TrackTable:
-    """The table of a track."""
+    """The tables of a track."""
 
     name: str
     description: str
     n: int
     """Number of queries."""
-    rows: tuple[Row, ...]
-    scale_ends: Mapping[str, str]
-    """The end of the scale of a column with drawn intervals, by its key; shown in its head."""
+    groups: tuple[Group, ...]
 
 
 def track_tables(board: Board) -> list[TrackTable]:
@@ -136,7 +154,7 @@ def _real_tables(entries: Sequence[Entry]) -> list[TrackTable]:
     described = [
         replace(table, name=f"{REAL}-{table.name}", description=f"{REAL_TEXT} {table.description}") for table in tables
     ]
-    return described or [TrackTable(REAL, f"{REAL_TEXT} None was sent yet.", 0, (), {})]
+    return described or [TrackTable(REAL, f"{REAL_TEXT} None was sent yet.", 0, ())]
 
 
 def runtime_class(seconds: float | None) -> str:
@@ -148,14 +166,28 @@ def runtime_class(seconds: float | None) -> str:
 
 def _table(every: Sequence[Entry], track: str) -> TrackTable:
     entries = [entry for entry in every if track in entry.scores["tracks"]]
+    of_group = {key: [entry for entry in entries if _group_of(entry, track) == key] for key in GROUPS}
+    groups = tuple(_group(own, track, *GROUPS[key]) for key, own in of_group.items() if own)
+    description = TRACKS[track].description if track in TRACKS else ""
+    n = max((entry.scores["tracks"][track]["n"] for entry in entries), default=0)
+    return TrackTable(track, description, n, groups)
+
+
+def _group_of(entry: Entry, track: str) -> str:
+    """The key of its group in GROUPS."""
+    masks = entry.masks(track)
+    if entry.knows_shapes:
+        return "shapes, given" if masks == ABLATION else "shapes"
+    return {"": "any masks", ABLATION: "given"}.get(masks, "found")
+
+
+def _group(entries: Sequence[Entry], track: str, title: str, description: str) -> Group:
     scored = {entry.name: entry.scores["tracks"][track] for entry in entries}
     methods = [scored[entry.name] for entry in entries if not entry.manifest.control] or list(scored.values())
     ends = {quantity.key: scale_end(quantity, methods) for quantity in quantities.shown_in("interval")}
     rows = [_row(entry, scored[entry.name], ends) for entry in entries]
     rows.sort(key=lambda row: (row.cells[SORTED_BY].value is None, row.cells[SORTED_BY].value or 0.0, row.entry.name))
-    description = TRACKS[track].description if track in TRACKS else ""
-    n = max((row["n"] for row in scored.values()), default=0)
-    return TrackTable(track, description, n, tuple(rows), {key: f"{end:g}" for key, end in ends.items()})
+    return Group(title, description, tuple(rows), {key: f"{end:g}" for key, end in ends.items()})
 
 
 def _row(entry: Entry, scored: Mapping[str, Any], ends: Mapping[str, float]) -> Row:

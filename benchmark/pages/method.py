@@ -12,6 +12,7 @@ from benchmark.curve_charts import panel
 from benchmark.curves import CURVES
 from benchmark.entries import Entry
 from benchmark.pages.board import NO_VALUE, Cell, mean_cell, scale_end
+from benchmark.protocol import ABLATION
 from benchmark.quantities import Quantity
 from benchmark.summary import TITLES, group_order
 from kit1000.pictures.charts import Axis, Dot, Line, dot_plot, histogram, line_chart, rounded_up
@@ -31,14 +32,19 @@ def overview_charts(entry: Entry) -> list[Markup]:
     """The main error and the seated rate in all tracks: means with their intervals."""
     charts = []
     error = quantities.ROTATION if entry.manifest.predicts == "rotation" else quantities.MSSD
-    rows = {track: entry.scores["tracks"][track] for track in tracks_of(entry)}
+    rows = {_axis_name(entry, track): entry.scores["tracks"][track] for track in tracks_of(entry)}
     for quantity in (error, quantities.SEATED):
         dots = [_dot(quantity, track, row) for track, row in rows.items() if row.get(quantity.key) is not None]
         if dots:
             axis = Axis(f"{quantity.name} [{quantity.unit.symbol}]", scale_end(quantity, list(rows.values())))
-            description = "Mean and 95 % interval in each track."
+            description = "Mean and 95 % interval in each track; given: by the masks of the dataset, an ablation."
             charts.append(Markup(dot_plot(f"{quantity.name} by track", description, dots, axis)))
     return charts
+
+
+def _axis_name(entry: Entry, track: str) -> str:
+    """A track in a chart; masks that are an ablation are named."""
+    return f"{track}, given" if entry.masks(track) == ABLATION else track
 
 
 def curve_charts(entry: Entry) -> list[Markup]:

@@ -70,13 +70,14 @@ def _write(path: Path, pages: jinja2.Environment, template: str, values: dict[st
 
 
 def _index(board: Board) -> dict[str, Any]:
-    methods_only = [entry for entry in board.entries if not entry.manifest.control]
-    curves = {entry.manifest.display_name: entry.scores["curves"] for entry in methods_only if entry.scores["curves"]}
+    drawn = [e for e in board.entries if e.scores["curves"] and not (e.manifest.control or e.knows_shapes)]
+    curves = {entry.manifest.display_name: entry.scores["curves"] for entry in drawn}
     return {
         "tables": boards.track_tables(board),
         "columns": boards.columns(),
         "sorted_by": boards.SORTED_BY,
         "runtimes": boards.RUNTIMES,
+        "curve_scenes": {entry.manifest.display_name: entry.scores["curve_scenes"] for entry in drawn},
         "curves": [Markup(chart) for curve in CURVES for chart in compared(curve, curves)],
     }
 

@@ -79,10 +79,11 @@ def _on_predicted_masks(method: Method) -> Method:
     """A method that reads predicted masks; raises InputError if it reads no masks."""
     if method.uses_true_geometry or method.control:
         raise InputError(f"--masks predicted: {method.make} reads the truth or is a control; use --masks given")
-    label = f"{method.label}, predicted masks" if method.label else ""
+    label = f"{method.label}, found masks" if method.label else ""
     description = f"{method.description}; masks from depth alone, which a network restores where it is noisy"
     seen = "; ".join(dict.fromkeys(filter(None, (method.training_data, MASKS_TRAINING))))
-    return replace(method, masks="predicted", label=label, description=description, learned=True, training_data=seen)
+    found = replace(method, masks="predicted", label=label, description=description, learned=True, training_data=seen)
+    return replace(found, paper_row="")  # that row is of the masks of the dataset
 
 
 def with_weights(method: Method, runs: Sequence[str | Path]) -> Method:

@@ -49,6 +49,7 @@ def concatenate(*several: PerQuery) -> PerQuery:
 
 def scored(measured: PerQuery, method: str = "ours", **setting: str) -> Scores:
     summary = {"method": method, "dataset_id": "abc", "protocol": "kit1000-2026", "split": "test"}
+    summary |= {"manifest": {"masks": "given"}}
     return Scores(measured, summary | setting)
 
 
@@ -210,7 +211,7 @@ def test_the_report_has_the_better_method_the_difference_and_its_p_value() -> No
     a = rows(position_mm=errors(1, mean=2), seated=np.arange(100) < 90)
     b = rows(position_mm=errors(2, mean=9), seated=np.arange(100) < 20)
     text = comparison_text(compare(scored(a, "registration"), scored(b, "icp")))
-    assert text.startswith("A: registration\nB: icp\n")
+    assert text.startswith("A: registration, masks given\nB: icp, masks given\n")
     position, rotation, _, seated = text.splitlines()[6:10]
     assert position.startswith("position mm   ")
     assert position.endswith("<0.001  A is better by 7.09")

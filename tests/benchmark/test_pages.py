@@ -14,8 +14,10 @@ from typing import Any
 
 import pytest
 
+from benchmark.entries import read_entries
 from benchmark.pages import build
-from benchmark.pages.board import percent, runtime_class
+from benchmark.pages.board import TrackTable, percent, read_board, runtime_class, track_tables
+from benchmark.protocol import ABLATION, FOUND, NO_MASKS
 from benchmark.quantities import POSITION
 from benchmark.table1 import run as table1
 from kit1000.errors import InputError
@@ -165,6 +167,37 @@ def test_a_single_control_makes_a_board(tmp_path: Path) -> None:
 def edited(folder: Path, **changes: Any) -> None:
     path = folder / "scores.json"
     path.write_text(json.dumps(json.loads(path.read_text("utf-8")) | changes), encoding="utf-8")
+
+
+def test_masks_that_no_camera_gives_and_known_shapes_have_tables_of_their_own(tmp_path: Path) -> None:
+    """On noisy depth alone; a better figure by given masks is never above one by found masks."""
+    write_board(tmp_path, ("guess", "snaps"))
+    for name, kind in (("found", {"masks": "predicted"}), ("shapes", {"reads": "shapes"})):
+        write_scored(tmp_path / name, replace(SNAPS, method=name, **kind), 9.0, 9.0, 1.0)
+    tables = {table.name: table for table in track_tables(read_board(tmp_path))}
+    assert groups(tables["snap"]) == {"": ["snaps", "found", "guess"], "Known shapes": ["shapes"]}
+    assert groups(tables["snap-d415"]) == {
+        "Masks found in the image": ["found"],
+        "Masks given: an ablation": ["snaps"],
+        "Known shapes, masks given: an ablation": ["shapes"],
+    }
+    entries = {entry.name: entry for entry in read_entries(tmp_path)}
+    assert {name: entry.masks("snap-photoneo") for name, entry in entries.items()} == {
+        "found": FOUND,
+        "guess": NO_MASKS,
+        "shapes": ABLATION,
+        "snaps": ABLATION,
+    }
+    assert not any(entry.masks("snap") for entry in entries.values())
+    build(tmp_path, tmp_path / "site", None)
+    robustness = page(tmp_path / "site").partition('id="robustness"')[2]
+    assert "found" in robustness
+    assert "shapes" not in robustness
+
+
+def groups(table: TrackTable) -> dict[str, list[str]]:
+    """Names of the methods of a track by the title of their table."""
+    return {group.title: [row.entry.name for row in group.rows] for group in table.groups}
 
 
 def test_scores_that_cannot_be_compared_share_no_board(tmp_path: Path) -> None:

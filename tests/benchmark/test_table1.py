@@ -200,6 +200,21 @@ def test_what_is_missing_is_told_apart(submissions: Path) -> None:
     assert "ICP from the guess" not in overview  # it predicts for neither of the paper's tracks
 
 
+def test_found_masks_come_before_given_ones_on_noisy_depth_alone(submissions: Path) -> None:
+    new = {"protocol": "kit1000-2026-12"}
+    for path in submissions.glob("*/scores.json"):
+        path.write_text(json.dumps(json.loads(path.read_text("utf-8")) | new), encoding="utf-8")
+    both = {name: track(9, 9) for name in ("snap", "snap-d415")}
+    put(submissions, "found", both, {"label": "Z, found", "masks": "predicted"}, **new)
+    put(submissions, "shapes", both, {"label": "Known", "reads": "shapes"}, **new)
+    noisy, ideal = cells(submissions, "snap-d415"), cells(submissions, "snap")
+    masks = {name: row["masks"] for name, row in noisy.items() if row["masks"] != "–"}
+    assert list(masks.items()) == [("Z, found", "found"), ("Registration, from depth", "given, an ablation")]
+    assert [*ideal][len(PAPER_ROWS) :][:3] == ["ICP from the guess", "Registration, from depth", "Z, found"]
+    assert "masks" not in ideal["Z, found"]
+    assert "Known" not in {**noisy, **ideal}
+
+
 @pytest.mark.parametrize(
     ("key", "value"),
     [("protocol", "other"), ("dataset_id", "other"), ("split", "val"), ("metric_versions", {"position": 2})],

@@ -27,6 +27,7 @@
     for (const section of sections) {
       const rows = [...section.querySelectorAll("table.board tbody tr")];
       for (const row of rows) row.hidden = !matches(row, wanted);
+      for (const group of section.querySelectorAll(".group")) group.hidden = !group.querySelector("tbody tr:not([hidden])");
       const left = rows.filter((row) => !row.hidden).length;
       if (rows.length) section.querySelector(".empty").hidden = left > 0;
       if (!section.hidden) status.textContent = rows.length ? `${left} of ${rows.length} shown` : "";
