@@ -124,7 +124,7 @@ def _tracks(tracks: Iterable[str]) -> list[Column]:
 
 def _with_shares(table: Table, entries: Sequence[Entry], tracks: Iterable[str]) -> Table:
     """The table with a row for each entry on any of the tracks, those with given masks on noisy ones last."""
-    masks = {entry.name: next(filter(None, map(entry.masks, NOISY)), "") for entry in entries}
+    masks = {entry.name: next(filter(None, map(entry.masks, tracks)), "") for entry in entries}
     for entry in sorted(entries, key=lambda entry: masks[entry.name] == ABLATION):
         scored = entry.scores["tracks"]
         shares = {track: scored[track][SEATED.key] for track in tracks if track in scored}

@@ -67,8 +67,8 @@ NOTES = (
     "design pose.",
     "[lo, hi] is the 95 % interval of the mean, from a bootstrap over assemblies and parts. A missing prediction "
     "counts as no motion.",
-    "The masks of the dataset are exact to a pixel. On noisy depth methods that find theirs come first; rows by given "
-    "masks follow as an ablation. Methods that get the shapes of the scene stand on the leaderboard alone.",
+    "On noisy depth rows by given masks are an ablation and come last. Methods that get the shapes of the scene stand "
+    "on the leaderboard alone.",
     "Methods with true volumes or true geometry read the ground truth: they show what is possible with perfect "
     "perception. Controls are reference points and no methods.",
 )

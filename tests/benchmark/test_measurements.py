@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +12,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmark.documents import filled, run
+from benchmark.documents import NOISY, TABLES, filled, run, score_table
 from benchmark.entries import read_entries
 from benchmark.measurements import SETTING, Column, Measurement, estimate, rate, read_measurement
+from benchmark.protocol import ABLATION, FOUND
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
+from tests.samples.board import SNAPS, write_board, write_scored
 
 ROOT = Path(__file__).resolve().parents[2]
 FINITE = st.floats(-1e6, 1e6)
@@ -125,3 +128,16 @@ def test_a_table_of_submissions_shows_what_scores_json_holds(tmp_path: Path) -> 
     row = next(line for line in text.splitlines() if "`registration`" in line)
     assert f"| {100 * scores['seated']['rate']:.1f} [" in row
     assert text.index("`registration`") < text.index("`guess`")
+
+
+def test_figures_on_noisy_depth_are_first_those_by_found_masks_and_shapes_stand_apart(tmp_path: Path) -> None:
+    folder = write_board(tmp_path / "submissions", ("guess", "snaps"))
+    for name, kind in (("found", {"masks": "predicted"}), ("shapes", {"reads": "shapes"})):
+        write_scored(folder / name, replace(SNAPS, method=name, **kind), 9.0, 9.0, 1.0)
+    entries = read_entries(folder)
+    rows = {
+        name: [row["submission"] for row in score_table(name, entries, []).rows] for name in TABLES if name != "readme"
+    }
+    assert rows == {"seated": ["`found`", "`guess`", "`snaps`"], "noisy": ["`found`", "`snaps`"], "known": ["`shapes`"]}
+    assert [row["masks"] for row in score_table("noisy", entries, []).rows] == [FOUND, ABLATION]
+    assert not {column.key for column in score_table("seated", entries, []).columns} & set(NOISY)
