@@ -7,7 +7,7 @@ maps coordinates in b to coordinates in a.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
 
@@ -264,12 +264,17 @@ class TrueGeometry:
 
 @dataclass(frozen=True, eq=False)
 class SceneShapes:
-    """The shapes of a scene, each in its own frame: no pose, no goal, and not which part lies where."""
+    """The shapes of a scene, each in its own frame: no pose, and not which part lies where."""
 
     assembly: Mesh
     """All kits as one mesh, z up as they stand."""
     parts: Mapping[str, Mesh]
     """The parts of the scene by id, in the order of their ids."""
+    clearances: Mapping[str, float] = field(default_factory=dict)
+    """[m] between a part and the walls of its cavity, by id, as the files of a kit state it."""
+    goals: Mapping[str, Pose] = field(default_factory=dict)
+    """(n,) equivalent assembly_from_part of the seated part, by id, as the files of a kit state them; none in a scene
+    with ground truth."""
 
 
 def _positive(name: str, value: float) -> None:

@@ -19,6 +19,7 @@ from kit1000.pictures.charts import Axis, Dot, Line, dot_plot, histogram, line_c
 from kit1000.queries.tracks import TRACKS
 
 BINNED = ("tilt", "visible")  # properties whose groups are bins
+NAMES = 170  # [px] of a chart: room for a track and whose masks
 CASE_TITLES = {"worst": "Largest errors", "middle": "Errors nearest to the median"}
 
 
@@ -38,7 +39,7 @@ def overview_charts(entry: Entry) -> list[Markup]:
         if dots:
             axis = Axis(f"{quantity.name} [{quantity.unit.symbol}]", scale_end(quantity, list(rows.values())))
             description = "Mean and 95 % interval in each track; given: by the masks of the dataset, an ablation."
-            charts.append(Markup(dot_plot(f"{quantity.name} by track", description, dots, axis)))
+            charts.append(Markup(dot_plot(f"{quantity.name} by track", description, dots, axis, NAMES)))
     return charts
 
 

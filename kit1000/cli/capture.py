@@ -50,8 +50,6 @@ class OwnImages:
     stream: Annotated[Stream | None, optional(Stream)] = None
     """raw: the depth camera's own image; aligned: resampled to another camera. Default: from the file, else raw for
     scanners, aligned for other cameras."""
-    kit: int = 1
-    """Which body is the kit: 1 is the largest body."""
     world_from_camera: Annotated[tuple[Path, ...], arg(metavar="FILE [FILE ...]")] = ()
     """JSON file with the pose of the camera (hand-eye) in a frame with the table at z = 0. One file, or one per image.
     Default: estimated from the bodies."""
@@ -70,8 +68,10 @@ class OwnImages:
         given = [field.name for field in fields(OwnImages) if getattr(self, field.name) != field.default]
         return [f"--{name.replace('_', '-')}" for name in given]
 
-    def asked(self, sources: tuple[Path, ...], out: Path, licence: str = "", one_scene: bool = False) -> ImportOptions:
-        """The import that these options describe."""
+    def asked(
+        self, sources: tuple[Path, ...], out: Path, kit: int, licence: str = "", one_scene: bool = False
+    ) -> ImportOptions:
+        """The import that these options describe. kit: which body is the kit."""
         from kit1000.capture.mask_networks import networks_available
         from kit1000.capture.options import LICENCE, ImportOptions
 
@@ -79,7 +79,7 @@ class OwnImages:
         masks = values.pop("masks")
         networks = masks == "networks" or (masks is None and networks_available())
         rest = {"networks": networks, "licence": licence or LICENCE, "one_scene": one_scene}
-        return ImportOptions(sources=sources, out=out, **values, **rest)
+        return ImportOptions(sources=sources, out=out, kit=kit, **values, **rest)
 
 
 @dataclass(frozen=True)
@@ -90,6 +90,8 @@ class ImportImages(OwnImages):
     """16-bit PNG or TIFF, .npy, .npz, or MCAP of ROS 2, Foxglove or ours. Several images become several scenes."""
     out: OptionalPath = None
     """Folder to write to. Default: the name of the first image with -scene."""
+    kit: int = 1
+    """Which body is the kit: 1 is the largest body."""
     one_scene: bool = False
     """The images show the same bodies from several places, each with its pose; registration uses all of them."""
     licence: str = ""
@@ -100,7 +102,7 @@ class ImportImages(OwnImages):
         from kit1000.capture.importing import default_folder, import_scenes
 
         out = self.out or default_folder(self.sources)
-        for line in import_scenes(self.asked(self.sources, out, self.licence, self.one_scene)):
+        for line in import_scenes(self.asked(self.sources, out, self.kit, self.licence, self.one_scene)):
             print(line)
         print(f"{out}: open it with kit1000 edit {out}")
         return 0

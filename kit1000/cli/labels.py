@@ -92,20 +92,26 @@ class Label:
         return 1 if without else 0
 
     def _kits(self) -> KnownKits:
-        from kit1000.known_shapes.known_kits import kits_of_files, kits_of_folder
+        return known_kits(self.shapes, self.assembly, self.kit, self.part, self.clearance_mm)
 
-        if (self.shapes is None) == (self.kit is None):
-            raise InputError("expected either --shapes FOLDER, or --kit FILE and --part FILE")
-        if self.shapes is not None:
-            if self.part is not None:
-                raise InputError("--part: is for --kit; name parts of --shapes by --parts")
-            return kits_of_folder(self.shapes, self.assembly)
-        if self.kit is None or self.part is None:
-            raise InputError("--kit: needs --part FILE, the part seated in its frame")
-        if self.clearance_mm is not None and not 0.05 <= self.clearance_mm <= 100:
-            raise InputError(f"--clearance-mm: expected 0.05 to 100, got {self.clearance_mm:g}")
-        clearance = None if self.clearance_mm is None else self.clearance_mm * 1e-3
-        return kits_of_files(self.kit, self.part, clearance)
+
+def known_kits(
+    shapes: Path | None, assembly: str | None, kit: Path | None, part: Path | None, clearance_mm: float | None
+) -> KnownKits:
+    """The shapes of the options --shapes and --assembly, or --kit, --part and --clearance-mm."""
+    from kit1000.known_shapes.known_kits import kits_of_files, kits_of_folder
+
+    if (shapes is None) == (kit is None):
+        raise InputError("expected either --shapes FOLDER, or --kit FILE and --part FILE")
+    if shapes is not None:
+        if part is not None:
+            raise InputError("--part: is for --kit; --shapes has the parts")
+        return kits_of_folder(shapes, assembly)
+    if kit is None or part is None:
+        raise InputError("--kit: needs --part FILE, the part seated in its frame")
+    if clearance_mm is not None and not 0.05 <= clearance_mm <= 100:
+        raise InputError(f"--clearance-mm: expected 0.05 to 100, got {clearance_mm:g}")
+    return kits_of_files(kit, part, None if clearance_mm is None else clearance_mm * 1e-3)
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from tyro.conf import Positional, arg
 
 from kit1000.cli.capture import OwnImages, need_truth
 from kit1000.cli.command_line import check_least
+from kit1000.cli.labels import known_kits
 from kit1000.cli.options import Folder, OptionalId, OptionalInt, OptionalName, OptionalPath, optional
 from kit1000.editor import SNAP
 from kit1000.errors import InputError
@@ -19,6 +20,9 @@ from kit1000.queries.tracks import Sensor
 
 if TYPE_CHECKING:
     from kit1000.dataset.reader import Dataset
+    from kit1000.known_shapes.known_kits import KnownKits
+
+KNOWN = "registration-known"  # snaps where shapes are given
 
 
 def find_own_modules() -> None:
@@ -121,6 +125,14 @@ class Edit(OwnImages):
     """Dataset folder; or an own depth image or recording, which is imported first into a folder beside it."""
     scene: OptionalId = None
     """Id of the scene, such as test-s0003. Default: the only one."""
+    shapes: OptionalPath = None
+    """Folder with the shapes in the image: of `kit1000 kit`, or a dataset. They are found in the image, and shown."""
+    assembly: OptionalId = None
+    """Id of the assembly in --shapes. Default: the only one."""
+    kit: Annotated[int | Path, arg(metavar="N | FILE")] = 1
+    """Which body of an own image is the kit: 1 is the largest; or its mesh file, kit.stl of `kit1000 kit`."""
+    part: OptionalPath = None
+    """Mesh file of the part of --kit FILE, seated in its frame: part.stl of `kit1000 kit`."""
     out: OptionalPath = None
     """Submission folder for the confirmed parts and the log; the same command again continues. Default: edits. For an
     image: folder of the scene; the edits go into a folder beside it."""
@@ -128,7 +140,7 @@ class Edit(OwnImages):
     """Sensor of the depth image; for an own image photoneo means a scanner. Default: ideal if the scene has it."""
     snap: Annotated[str | None, optional(str, "METHOD")] = None
     """Method that proposes fits: one of the catalog, module:Object of your own, or none. Default: registration; in own
-    scenes with networks for the noise of the camera."""
+    scenes with networks for the noise of the camera; of known shapes registration-known."""
     interface: Literal["scene", "hand", "hand-bare"] = "scene"
     """Thing that you move: parts, or the robot's suction cup, one part at a time; bare: by gizmo. Cups never snap."""
     port: OptionalInt = None
@@ -152,19 +164,34 @@ class Edit(OwnImages):
         from kit1000.dataset.reader import Dataset
 
         find_own_modules()
-        data, out = self._folders()
+        kits = self._kits()
+        data, out = self._folders(kits)
         dataset = Dataset(data)
         scene, sensor = _chosen_scene(dataset, self.scene, self.sensor)
-        method = _default_method(dataset, scene, sensor) if self.interface == "scene" else "none"
+        shapes = None if kits is None else kits.shapes_for(dataset.summary)
+        method = KNOWN if shapes else _default_method(dataset, scene, sensor) if self.interface == "scene" else "none"
         chosen = (data, scene, out, sensor, self.snap or method)
-        serve(Options(*chosen, self.port, self.truth, self.interface, self.origin, self.base_from_camera))
+        serve(Options(*chosen, self.port, self.truth, self.interface, self.origin, self.base_from_camera, shapes))
         return 0
 
-    def _folders(self) -> tuple[Path, Path]:
-        """The folders of the dataset and of the edits, after the import of an image."""
+    def _kits(self) -> KnownKits | None:
+        """The kits whose shapes the user gives; None without any."""
+        kit = self.kit if isinstance(self.kit, Path) else None
+        if self.shapes is None and kit is None:
+            if self.part is not None:
+                raise InputError("--part: needs --kit FILE, the kit in whose frame it is seated")
+            return None
+        from kit1000.prediction.making import method_of
+
+        if self.snap and (self.snap == "none" or method_of(self.snap).reads != "shapes"):
+            raise InputError(f"--snap {self.snap}: reads no shapes; leave it out, or --shapes and --kit FILE")
+        return known_kits(self.shapes, self.assembly, kit, self.part, self.clearance_mm)
+
+    def _folders(self, kits: KnownKits | None) -> tuple[Path, Path]:
+        """The folders of the dataset and of the edits, after the import of an image; kits may state its clearance."""
         folder = self.data.is_dir() and not any(self.data.glob("*.mcap"))  # no bag of ROS
         if folder or not (self.data.exists() or self.data.suffix):
-            given = self.own_options()
+            given = self.own_options() + (["--kit"] if isinstance(self.kit, int) and self.kit != 1 else [])
             if given:
                 raise InputError(f"{given[0]}: is for own depth images; {self.data} is a folder of scenes")
             return self.data, self.out or Path("edits")
@@ -174,8 +201,11 @@ class Edit(OwnImages):
             raise InputError("--sensor ideal: no camera is; expected d415 or photoneo of an own image")
         scanner = self.sensor == "photoneo" and not self.device
         own = replace(self, device=self.sensor) if scanner else self
+        stated = {mount.kit.slot.clearance for mount in kits.assembly.mounts} if kits else set()
+        if self.clearance_mm is None and len(stated) == 1:
+            own = replace(own, clearance_mm=1e3 * stated.pop())
         folder = self.out or default_folder((self.data,))
-        for line in import_scenes(own.asked((self.data,), folder)):
+        for line in import_scenes(own.asked((self.data,), folder, self.kit if isinstance(self.kit, int) else 1)):
             print(line)
         return folder, folder.with_name(f"{folder.name}-edits")
 

@@ -250,8 +250,11 @@ class Controller:
 
     @exclusive
     def completed(self, completion: Completion) -> None:
-        """What the worker has completed of the kits."""
-        if completion.kits is not None:
+        """What the method knows of the scene beyond its image."""
+        if completion.shapes is not None:
+            self.space.know(completion.shapes)
+            self.display.know_shapes()
+        elif completion.kits is not None:
             self.display.complete_kits(completion.kits)
         elif completion.failure:
             self.display.note(texts.not_completed(completion.failure))

@@ -89,26 +89,27 @@ class Display:
         self._label_offset = OVER_PART
         self._shows_hidden = False
         scene = workspace.scene
-        by_hand = isinstance(workspace, HandWorkspace)
+        self._by_hand = by_hand = isinstance(workspace, HandWorkspace)
         self.completes = not (by_hand or scene.truth)
         """Whether it shows what the image hides of the kits: points are what the camera saw, true shapes are whole."""
         if by_hand and not scene.truth:
             self._add_points()
         else:
-            stage.show(KITS, scene.kits, texts.KIT_COLOUR, None)
+            self._add_bodies()
             if len(scene.others.faces):
                 stage.show(OTHERS, scene.others, texts.OTHER_COLOUR, None)
-            for part, mesh in scene.meshes.items():
-                stage.show(body_node(part), mesh, part_colour(part), None)
-        if by_hand:
+        if isinstance(workspace, HandWorkspace):
             for cup in NAMES:
                 pose, mesh = workspace.rest(cup), cup_mesh()
                 placed = Mesh(pose.apply(mesh.vertices), mesh.faces)
                 stage.show(body_node(cup), placed, CUP_COLOURS[cup], None)
-        self._ghosts = {} if by_hand else scene.meshes
-        for part, mesh in self._ghosts.items():
-            stage.show(ghost_node(part), mesh, texts.confidence_colour(0), texts.GHOST_OPACITY)
-            stage.look(ghost_node(part), visible=False)
+        self._add_ghosts()
+
+    def know_shapes(self) -> None:
+        """Show the known shapes of the scene instead of what is seen of its bodies."""
+        self._add_bodies()
+        self._add_ghosts()
+        self.update()
 
     def complete_kits(self, hidden: Mesh) -> None:
         """Show what the image hides of the kits, as the method completes it [m] world, in a colour of its own."""
@@ -139,7 +140,7 @@ class Display:
         self.stage.say("note", "")
         edits = {part: space.session.edits[part] for part in space.scene.parts}
         in_hand = self._part_in_hand()
-        self.stage.say("parts", texts.parts_list(edits, in_hand, sought))
+        self.stage.say("parts", texts.parts_list(edits, in_hand, sought, space.scene.known))
         self.stage.say("fit", self._fit_text())
         names = [operation.name for operation in (*space.session.done, *reversed(space.session.undone))]
         self.stage.history(names, len(space.session.done))
@@ -164,6 +165,20 @@ class Display:
         for body in space.current:
             self._label(body)
 
+    def _add_bodies(self) -> None:
+        """Kits and parts as meshes."""
+        scene = self.workspace.scene
+        self.stage.show(KITS, scene.kits, texts.KIT_COLOUR, None)
+        for part, mesh in scene.meshes.items():
+            self.stage.show(body_node(part), mesh, part_colour(part), None)
+
+    def _add_ghosts(self) -> None:
+        """A ghost of each part, hidden; none under hand control."""
+        self._ghosts = {} if self._by_hand else self.workspace.scene.meshes
+        for part, mesh in self._ghosts.items():
+            self.stage.show(ghost_node(part), mesh, texts.confidence_colour(0), texts.GHOST_OPACITY)
+            self.stage.look(ghost_node(part), visible=False)
+
     def _part_in_hand(self) -> int | None:
         space = self.workspace
         return None if space.selected is None else space.carried(space.selected)
@@ -175,7 +190,8 @@ class Display:
         if body in NAMES:
             text, top = texts.cup_label(body == PICK, body == space.selected), motion.apply(pivot + UP_THE_CUP)
         else:
-            text = texts.part_label(body, space.current[body], body == self._part_in_hand())
+            unsure = space.scene.known is not None and not space.scene.is_sure(body)
+            text = texts.part_label(body, space.current[body], body == self._part_in_hand(), unsure)
             top = motion.apply(pivot) + self._label_offset
         ghost = space.ghost(body) if body == space.selected else None
         number = "" if ghost is None else f" · {texts.confidence_text(ghost.confidence)}"

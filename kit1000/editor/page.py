@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import viser
@@ -30,9 +30,66 @@ SAME_SHAPE = 0.02  # of two windows, in width over height
 POINT_SIZE = 1.6e-3  # [m]: neighbours just touch
 BELOW = 5e-4  # [m] z = 0, of the table's top: what stands on it is not cut
 GIZMO = "/gizmo"
-Actor = Any
-"""Who takes the events of the page: a `controller.Controller` or a `label_page.LabelPage`."""
 WATCHES = "Another tab of this page is in charge. When that is closed, this one is."
+
+
+class Actor(Protocol):
+    """Who takes the events of a page: a `controller.Controller` or a `label_page.LabelPage`."""
+
+    @property
+    def bodies(self) -> tuple[int, ...]:
+        """What can be moved."""
+        ...
+
+    @property
+    def drags(self) -> bool:
+        """Whether bodies can be dragged and not only be moved by the gizmo."""
+        ...
+
+    def framed(self, eye: Eye) -> None:
+        """The shape of the window is known, or has changed."""
+        ...
+
+    def select(self, body: int | None) -> None:
+        """A body was clicked."""
+        ...
+
+    def grab(
+        self, body: int, eye: Eye, screen: tuple[float, float], point: np.ndarray, modifier: Modifier = None
+    ) -> None:
+        """A drag of a body begins at a point (3,) [m] of it; screen: 0 to 1 from the left, and from the top."""
+        ...
+
+    def drag(self, screen: tuple[float, float]) -> None:
+        """The pointer moves."""
+        ...
+
+    def release(self) -> None:
+        """The pointer lets go."""
+        ...
+
+    def carry(self, gizmo: Pose, done: bool) -> None:
+        """The gizmo moves, world_from_gizmo; done: it was let go."""
+        ...
+
+    def command(self, verb: str, eye: Eye | None = None) -> None:
+        """A key or a button."""
+        ...
+
+
+@runtime_checkable
+class Editor(Actor, Protocol):
+    """An actor with a history, and with fits that a part takes when it is let go."""
+
+    lets_go: bool
+
+    def return_to(self, count: int) -> None:
+        """Undo or redo until `count` operations are done."""
+        ...
+
+    def take_by_letting_go(self, takes: bool) -> None:
+        """Whether letting go near a fit takes it."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -70,7 +127,7 @@ class ViserStage:
         self._rows: list[Any] = []
         self._counts = range(0)
         self._history: tuple[tuple[str, ...], int] | None = None
-        self._actor: Actor = None
+        self._actor: Actor | None = None
         self._acting: int | None = None
         self._aspect = NARROW
         self._clients: list[int] = []
@@ -82,14 +139,14 @@ class ViserStage:
         """Send the events of the page to an actor."""
         self._actor = actor
         for body in actor.bodies:
-            self._listen_to(body, actor.drags)
+            self._listen_to(body_node(body))
         self.server.on_client_connect(self._joined)
         self.server.on_client_disconnect(self._left)
 
     # The verbs of a stage.
 
     def show(self, name: str, mesh: Mesh, colour: Colour, opacity: float | None) -> None:
-        """Add a mesh."""
+        """Add a mesh, or show another one under its name."""
         self._nodes[name] = self.server.scene.add_mesh_simple(
             name,
             mesh.vertices.astype(np.float32),
@@ -101,6 +158,7 @@ class ViserStage:
             cast_shadow=False,
             receive_shadow=False,
         )
+        self._listen_to(name)
 
     def dots(self, name: str, points: np.ndarray, colours: np.ndarray) -> None:
         """Add points."""
@@ -256,9 +314,13 @@ class ViserStage:
                 receive_shadow=False,
             )
 
-    def _listen_to(self, body: int, drags: bool) -> None:
-        handle = self._nodes[body_node(body)]
-        for modifier in NAMES if drags else ():
+    def _listen_to(self, name: str) -> None:
+        """Send what is done to a body to the actor."""
+        actor, handle = self._actor, self._nodes[name]
+        body = None if actor is None else next((each for each in actor.bodies if body_node(each) == name), None)
+        if actor is None or body is None:
+            return
+        for modifier in NAMES if actor.drags else ():
             handle.on_drag("left", modifier=modifier)(partial(self._dragged, body, modifier))
         handle.on_click(partial(self._clicked, body))
 
@@ -291,7 +353,7 @@ class ViserStage:
         if notice is not None:
             notice.remove()
 
-    def _call(self, event: Any, action: Callable[[Actor], None]) -> None:
+    def _call(self, event: Any, action: Callable[[Actor], object]) -> None:
         """Call the actor if the event comes from the tab in charge; the page shows errors."""
         if self._actor is None or event.client_id != self._acting:
             return
@@ -328,12 +390,13 @@ class ViserStage:
 
     async def _history_clicked(self, row: int, event: Any) -> None:
         count = self._counts[row]
-        self._call(event, lambda actor: actor.return_to(count))
+        self._call(event, lambda actor: isinstance(actor, Editor) and actor.return_to(count))
 
     async def _letting_go_clicked(self, event: Any) -> None:
-        def change(editor: Actor) -> None:
-            editor.take_by_letting_go(not editor.lets_go)
-            event.target.label = texts.letting_go(editor.lets_go)
+        def change(actor: Actor) -> None:
+            if isinstance(actor, Editor):
+                actor.take_by_letting_go(not actor.lets_go)
+                event.target.label = texts.letting_go(actor.lets_go)
 
         self._call(event, change)
 

@@ -90,12 +90,12 @@ class TrueContacts:
         axis = motion.inverse().rotate(plate.normal)
         offset = float(contact_offset(InsertedPart(self._parts[part], axis), self._fixed, motion))
         if not np.isfinite(offset):
-            return "True shapes: nothing of the kits is below it."
+            return "By the shapes nothing of the kits is below it."
         if offset > TOUCHES:
-            return f"True shapes: {offset * 1e3:.0f} mm into the kit."
+            return f"By the shapes it is {offset * 1e3:.0f} mm into the kit."
         if offset < -TOUCHES:
-            return f"True shapes: {-offset * 1e3:.0f} mm above the kit."
-        return "True shapes: stands on the kit."
+            return f"By the shapes it is {-offset * 1e3:.0f} mm above the kit."
+        return "By the shapes it stands on the kit."
 
 
 def _cells(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

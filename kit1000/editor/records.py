@@ -50,6 +50,8 @@ class Header:
     snap: str
     """The method that snaps."""
     interface: Interface
+    shapes: bool = False
+    """Whether the user gives the shapes of the scene."""
 
     def key(self) -> tuple[str, str]:
         """Events with the same belong to one session."""
@@ -70,9 +72,9 @@ class EventLog:
         rows = _rows(self.path)
         self.rows = [row for row in rows if (row["scene"], row["sensor"]) == header.key()]
         for row in rows:
-            for name in ("dataset_id", "truth", "interface"):
-                if row[name] != getattr(header, name):
-                    text = f"{name} {row[name]}, not {getattr(header, name)}; choose another --out"
+            for name in ("dataset_id", "truth", "interface", "shapes"):
+                if row.get(name, False) != getattr(header, name):  # older logs know no shapes
+                    text = f"{name} {row.get(name, False)}, not {getattr(header, name)}; choose another --out"
                     raise InputError(f"{self.path}: holds events of {text}")
         _drop_cut_line(self.path)
 
@@ -139,6 +141,7 @@ def _manifest(dataset: Dataset, header: Header, tracks: tuple[str, ...]) -> Mani
         tracks=tracks,
         learned=False,
         uses_true_geometry=header.truth,
+        reads="shapes" if header.shapes else "image",
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial import ConvexHull
@@ -13,12 +14,15 @@ from kit1000.capture.pose_files import stated_pose
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.editor.part_on_plate import Cavities, TrueContacts
 from kit1000.editor.seen import ColouredPoints, SeenScene, coloured_points, observed, seen_scene
-from kit1000.editor.seen_plates import Plate, find_plates
+from kit1000.editor.seen_plates import Plate, find_plates, plates_of
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh
 from kit1000.perception.sensor_facts import simulated_sensor
 from kit1000.pose import Pose
 from kit1000.values import ASSEMBLY_LABEL, Query, View
+
+if TYPE_CHECKING:
+    from kit1000.known_shapes.predictor import FoundShapes
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +38,8 @@ class EditedScene:
     """A query without a guess for each part that can be edited, by index."""
     base_from_camera: Pose | None = None
     """The camera in the base of the user's robot, if it is stated."""
+    known: FoundShapes | None = None
+    """The known shapes where they were found, which are then shown instead of what is seen."""
 
     @classmethod
     def open(
@@ -61,13 +67,16 @@ class EditedScene:
     def meshes(self) -> dict[int, Mesh]:
         """[m] world: the parts at their recorded poses."""
         if not self.truth:
-            return dict(self._seen.parts)
+            found = {} if self.known is None else self.known.parts
+            return {part: found[part].mesh if part in found else seen for part, seen in self._seen.parts.items()}
         _, _, *parts = self.recorded.bodies()
         return {part: _placed(*parts[part]) for part in self.queries}
 
     @cached_property
     def kits(self) -> Mesh:
         """[m] world."""
+        if self.known is not None:
+            return self.known.kits.mesh
         return _placed(*self.recorded.bodies()[1]) if self.truth else self._seen.kits
 
     @cached_property
@@ -77,7 +86,9 @@ class EditedScene:
 
     @cached_property
     def plates(self) -> list[Plate]:
-        """As seen, the largest first."""
+        """As seen, or as the known shape has them, the largest first."""
+        if self.truth or self.known is not None:
+            return plates_of(self.kits)
         mask = self.recorded.labelled_depth(self.sensor).labels == ASSEMBLY_LABEL
         return find_plates(self.view, mask, simulated_sensor(self.sensor).kind.noise)
 
@@ -102,13 +113,18 @@ class EditedScene:
         points = np.concatenate([self.kits.vertices, *(mesh.vertices for mesh in self.meshes.values())])
         return points[ConvexHull(points).vertices]
 
+    def is_sure(self, part: int) -> bool:
+        """Whether the shape of a part was found, and the image alone settles its pose."""
+        found = None if self.known is None else self.known.parts.get(part)
+        return found is not None and not found.doubts
+
     def pivot(self, part: int) -> np.ndarray:
         """(3,) [m] world: the middle of what is seen of a part at its recorded pose."""
         return self.queries[part].pivot
 
     def contact(self, part: int, motion: Pose, plate: Plate) -> str:
         """How a part lies on a plate after a motion, as a text for the page."""
-        if self.truth:
+        if self.truth or (self.known is not None and part in self.known.parts):
             return self._contacts.text(part, motion, plate)
         return self._cavities.text(self.tops[part], motion, plate)
 

@@ -1,10 +1,11 @@
-"""The plates that the page knows: the planes of the kits that perception finds, with their outlines, and the table."""
+"""The plates that the page knows: planes of the kits as perception finds them, or of their known shape; the table."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, KDTree
 
@@ -18,6 +19,11 @@ from kit1000.rng import stream
 from kit1000.values import View
 
 SMALLEST = 1500e-6  # [m^2] observed, of a plate
+SMALLEST_OUTLINE = 400e-6  # [m^2] of a plate of known shape, cavity included
+LEAST_FACE = 100e-6  # [m^2] of a plate of known shape, without its cavity
+COMPACT = 0.8  # least area of the outline, over the square of its radius: brackets have narrow upper faces
+LEVEL = 1e-4  # [m] above a plate, up to which an island in its cavity is level with it
+STEEPEST = np.cos(np.radians(50))  # of the normal of a plate
 DEEPEST = 25e-3  # [m] no cavity is deeper
 ABOVE = 4e-3  # [m] above a plate, where points still belong to it
 MARGIN = 12e-3  # [m] around a plate's observed points
@@ -83,6 +89,46 @@ def find_plates(view: View, mask: np.ndarray, noise: Noise) -> list[Plate]:
     planes = without_nested(planes, points, normals, noise)
     bodies = [body for plane in planes for body in _bodies(points[on_plane(plane, points, normals, noise)], area)]
     return [_plate(body) for body in sorted(bodies, key=len, reverse=True)]
+
+
+def plates_of(kits: Mesh) -> list[Plate]:
+    """The plates of kits of known shape [m] world, the largest first: their upper faces but those inside a cavity."""
+    corners = kits.triangles
+    crossed = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    areas = np.linalg.norm(crossed, axis=1) / 2
+    normals = crossed / np.maximum(2 * areas, 1e-15)[:, None]
+    up = np.flatnonzero(normals[:, 2] > STEEPEST)
+    offsets = (corners[up].mean(1) * normals[up]).sum(1)
+    _, plane = np.unique(np.column_stack([normals[up].round(3), offsets.round(4)]), axis=0, return_inverse=True)
+    wide = np.flatnonzero(np.bincount(plane.ravel(), areas[up]) > LEAST_FACE)
+    faces = [kits.faces[up[plane.ravel() == i]] for i in wide]
+    plates = [_plate(kits.vertices[used]) for own in faces for used in _connected(own)]
+    plates = [plate for plate in plates if _outline_area(plate) > max(SMALLEST_OUTLINE, COMPACT * plate.radius**2)]
+    plates.sort(key=_outline_area, reverse=True)
+    return [plate for plate in plates if not any(_is_inside(plate, other) for other in plates)]
+
+
+def _connected(faces: np.ndarray) -> list[np.ndarray]:
+    """Indices of the vertices of triangles (n, 3), in groups that share no vertex."""
+    used, of = np.unique(faces, return_inverse=True)
+    a, b, c = of.reshape(-1, 3).T
+    links = coo_matrix((np.ones(2 * len(a)), (np.concatenate([a, b]), np.concatenate([b, c]))), (len(used), len(used)))
+    _, labels = connected_components(links, directed=False)
+    return [used[labels == label] for label in range(labels.max() + 1)]
+
+
+def _outline_area(plate: Plate) -> float:
+    """[m^2] as seen from above."""
+    return float(ConvexHull(plate.corners[:, :2]).volume)
+
+
+def _is_inside(plate: Plate, other: Plate) -> bool:
+    """Whether a plate is the floor of a cavity in another one, or an island there."""
+    height = other.height(plate.corners)
+    lower = bool((height < LEVEL).all())
+    above = (plate.corners - height[:, None] * other.normal)[:, :2]
+    sides = ConvexHull(other.corners[:, :2]).equations
+    return plate is not other and lower and bool((matmul(above, sides[:, :2].T) + sides[:, 2] < 0).all())
 
 
 def _bodies(points: np.ndarray, area: float) -> list[np.ndarray]:

@@ -38,6 +38,7 @@ from kit1000.errors import InputError, InternalError, shown
 from kit1000.files import check_writable, locked
 from kit1000.interrupts import wait_until_interrupted
 from kit1000.perception.sensor_facts import SensorFacts, sensor_of
+from kit1000.values import SceneShapes
 
 HOST = "127.0.0.1"
 PORTS = range(8080, 8100)  # tried in order, if none is asked for
@@ -75,14 +76,19 @@ class Options:
     """Further web addresses whose page may talk to the server, such as http://localhost:9000."""
     base_from_camera: Path | None = None
     """JSON file with the pose of the camera in the base of a robot, for moves.json."""
+    shapes: SceneShapes | None = None
+    """The shapes in the image, for a method that reads them."""
 
     def __post_init__(self) -> None:
+        if self.interface != "scene" and self.shapes is not None:
+            raise InputError("known shapes: hand control shows what the camera saw; leave them out")
         if self.interface != "scene" and self.snap != NO_SNAP:
             raise InputError(f"--snap {self.snap}: nothing snaps in hand control; leave it out, or use --snap none")
 
     def header(self, dataset_id: str) -> Header:
         """The header of the log."""
-        return Header(dataset_id, self.scene, self.sensor, self.truth, self.snap, self.interface)
+        known = self.shapes is not None
+        return Header(dataset_id, self.scene, self.sensor, self.truth, self.snap, self.interface, known)
 
 
 @contextlib.contextmanager
@@ -96,7 +102,7 @@ def editing(options: Options, sink: Sink | None = None, moves: bool = False) -> 
     base = None if options.base_from_camera is None else read_pose(options.base_from_camera)
     scene = EditedScene.open(dataset, options.scene, options.sensor, options.truth, base)
     _report_base(scene, options.base_from_camera or dataset.root / "dataset.json")
-    method = Method(options.snap, dataset.root, options.scene, options.sensor, options.truth)
+    method = Method(options.snap, dataset.root, options.scene, options.sensor, options.truth, options.shapes)
     if options.snap != NO_SNAP:
         method.check()
     header = options.header(dataset.id)
@@ -175,7 +181,8 @@ def camera_name(sensor: SensorFacts) -> str:
 
 def head_text(header: Header, camera: str) -> str:
     """The top of the panel. camera: its name."""
-    shown = "**TRUE SHAPES ARE SHOWN**" if header.truth else f"as the {camera} saw it"
+    seen = f"known shapes, as the {camera} saw them" if header.shapes else f"as the {camera} saw it"
+    shown = "**TRUE SHAPES ARE SHOWN**" if header.truth else seen
     snap = "nothing snaps" if header.snap == NO_SNAP else f"snaps by {header.snap.rpartition(':')[2]}"
     return f"**{header.scene}** · {shown} · {snap}"
 

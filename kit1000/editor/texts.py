@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from kit1000.editor.keys import Interface
 from kit1000.editor.proposals import PartProposals, Proposal
 from kit1000.editor.session import LIKELY, SURE, PartEdit, part_name
+
+if TYPE_CHECKING:
+    from kit1000.known_shapes.predictor import FoundShape, FoundShapes
 
 Colour = tuple[int, int, int]
 KIT_COLOUR: Colour = (205, 201, 194)
@@ -82,9 +86,9 @@ def letting_go(takes: bool) -> str:
     return f"Letting go near a ghost: {'takes it' if takes else 'stays'}"
 
 
-def part_label(part: int, edit: PartEdit, selected: bool) -> str:
-    """The label over a part."""
-    return f"{'▸ ' if selected else ''}{part + 1} {MARKS[edit.state]}"
+def part_label(part: int, edit: PartEdit, selected: bool, unsure: bool = False) -> str:
+    """The label over a part. unsure: its known shape is not at a pose that the image settles."""
+    return f"{'▸ ' if selected else ''}{part + 1}{' ?' if unsure else ''} {MARKS[edit.state]}"
 
 
 def cup_label(picks: bool, selected: bool) -> str:
@@ -97,15 +101,29 @@ def picked(part: int) -> str:
     return f"**Green cup**: on {part_name(part)}. Now move the yellow cup."
 
 
-def parts_list(edits: Mapping[int, PartEdit], selected: int | None, sought: Collection[int]) -> str:
-    """The state of each part, in Markdown. sought: the parts for which the method still looks for fits."""
-    rows = []
+def parts_list(
+    edits: Mapping[int, PartEdit], selected: int | None, sought: Collection[int], known: FoundShapes | None = None
+) -> str:
+    """The state of each part, in Markdown.
+
+    sought: the parts for which the method still looks for fits. known: the shapes that were found.
+    """
+    rows = [shape_text(known.kits).removeprefix(" · ")] if known is not None and known.kits.doubts else []
     for part, edit in edits.items():
         name = f"**{part_name(part)}**" if part == selected else part_name(part)
         sure = f", {100 * edit.confidence:.0f} %" if edit.snapped else ""
         seeks = " · looking for fits …" if part in sought else ""
-        rows.append(f"{MARKS[edit.state]} {name}: {MEANINGS[edit.state]}{sure}{seeks}")
+        shape = "" if known is None else shape_text(known.parts.get(part))
+        rows.append(f"{MARKS[edit.state]} {name}: {MEANINGS[edit.state]}{sure}{seeks}{shape}")
     return "  \n".join(rows)  # two spaces end a line in Markdown; a table would change its columns with every word
+
+
+def shape_text(found: FoundShape | None) -> str:
+    """What is known of the shape of a body, behind its name."""
+    if found is None:
+        return " · ? its shape was not found: shown as seen"
+    unsure = f" ? pose not sure: {plain('; '.join(found.doubts))}" if found.doubts else ""
+    return f" · {plain(found.name)}{unsure}"
 
 
 def part_line(part: int, edit: PartEdit) -> str:
@@ -132,8 +150,8 @@ def no_fit(proposals: PartProposals, over_kits: bool, waits: bool) -> str:
 
 
 def not_completed(failure: str) -> str:
-    """Why what the image hides of the kits is not shown."""
-    return f"What the image hides of the kits is not shown: {plain(failure)}"
+    """Why known shapes, or what the image hides of the kits, are not shown."""
+    return f"Only what the image shows is shown: {plain(failure)}"
 
 
 def plain(text: str) -> str:

@@ -13,11 +13,11 @@ import threading
 from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from kit1000.dataset.reader import Dataset
 from kit1000.editor.proposals import Proposal
@@ -28,7 +28,10 @@ from kit1000.parallel import start_worker
 from kit1000.pose import Pose
 from kit1000.prediction.making import make_predictor, method_of
 from kit1000.predictor import to_prediction
-from kit1000.values import Query
+from kit1000.values import Query, SceneShapes
+
+if TYPE_CHECKING:
+    from kit1000.known_shapes.predictor import FoundShapes
 
 Answer = TypeVar("Answer")
 
@@ -45,6 +48,8 @@ class Method:
     sensor: str
     truth: bool
     """Whether true geometry may be read."""
+    shapes: SceneShapes | None = field(default=None, compare=False)
+    """Those that the user gives to a method that reads them."""
 
     def check(self) -> None:
         """Raise InputError if there is no such method or module. The worker imports it: that takes seconds."""
@@ -81,12 +86,14 @@ class Result(NamedTuple):
 
 
 class Completion(NamedTuple):
-    """What the image hides of the kits, as the method completes it."""
+    """What a method knows of the scene beyond its image."""
 
     kits: Mesh | None
-    """[m] world; None if the method completes no kits."""
+    """[m] world: what the image hides of the kits; None if the method completes no kits."""
     failure: str = ""
     """Why there is none although there should be one."""
+    shapes: FoundShapes | None = None
+    """The known shapes where they were found; None if the method knows none."""
 
 
 class Worker:
@@ -101,7 +108,7 @@ class Worker:
         self._executor = one_process()
 
     def start(self, done: Callable[[Result], None], completed: Callable[[Completion], None] | None = None) -> None:
-        """Begin with the jobs. done: called with each result; completed: once before, with the completed kits."""
+        """Begin with the jobs. done: called with each result; completed: once before, with what it completes."""
         threading.Thread(target=self._run, args=(done, completed), daemon=True).start()
 
     def ask(self, part: int, guess: Pose) -> None:
@@ -176,7 +183,7 @@ def _propose(method: Method, job: Job) -> Result:
 
 
 def _complete(method: Method) -> Completion:
-    """The completed kits; an error becomes a line for the page."""
+    """What the method completes; an error becomes a line for the page."""
     try:
         return completion_of(prepared(method))
     except Exception as error:
@@ -192,6 +199,8 @@ class Prepared:
     predictor: Any
     uses_truth: bool
     """Whether the predictor gets the true geometry."""
+    shapes: SceneShapes | None = None
+    """The shapes of the scene, for a predictor that reads them."""
 
 
 @lru_cache(maxsize=1)
@@ -199,17 +208,30 @@ def prepared(method: Method) -> Prepared:
     """Made once in each process."""
     dataset = Dataset(method.root)
     queries = editable_queries(dataset.recorded_scene(method.scene_id, method.truth), method.sensor)
-    predictor = make_predictor(method_of(method.snap), dataset, 0)
+    described = method_of(method.snap)
+    predictor = make_predictor(described, dataset, 0)
     uses_truth = bool(getattr(predictor, "uses_true_geometry", False))
     if uses_truth and not method.truth:
         raise InputError(f"--snap {method.snap}: needs the true geometry, which only --truth shows")
-    return Prepared(dataset, queries, predictor, uses_truth)
+    shapes = _shapes(method, dataset) if described.reads == "shapes" else None
+    return Prepared(dataset, queries, predictor, uses_truth, shapes)
+
+
+def _shapes(method: Method, dataset: Dataset) -> SceneShapes:
+    """The shapes that the user gives, or those of the dataset."""
+    if method.shapes is not None:
+        return method.shapes
+    try:
+        return dataset.recorded_scene(method.scene_id, truth=True).shapes
+    except InputError as error:
+        raise InputError(f"--snap {method.snap}: needs --shapes FOLDER, or --kit FILE --part FILE ({error})") from None
 
 
 def proposals_of(made: Prepared, job: Job) -> list[Proposal]:
     """All fits of a part; of a method that proposes none, its prediction if there is a guess."""
     query, predictor = replace(made.queries[job.part], guess=job.guess), made.predictor
-    geometry = made.dataset.geometry.true_geometry(made.dataset.truth_of(query)) if made.uses_truth else None
+    true = made.dataset.geometry.true_geometry(made.dataset.truth_of(query)) if made.uses_truth else None
+    geometry = true if made.shapes is None else made.shapes
     if hasattr(predictor, "propose"):
         motions = list(predictor.propose(query, geometry))
     else:
@@ -219,10 +241,15 @@ def proposals_of(made: Prepared, job: Job) -> list[Proposal]:
 
 
 def completion_of(made: Prepared) -> Completion:
-    """The kits as the method completes them, by its `completed_kits`, if it has that."""
+    """The known shapes where the method finds them, by its `find`; or the kits by its `completed_kits`."""
+    queries = tuple(made.queries.values())
+    if made.shapes is not None:
+        return Completion(
+            None, shapes=made.predictor.find(queries, made.shapes) if hasattr(made.predictor, "find") else None
+        )
     if not hasattr(made.predictor, "completed_kits"):
         return Completion(None)
-    return Completion(made.predictor.completed_kits(next(iter(made.queries.values()))))
+    return Completion(made.predictor.completed_kits(queries[0]))
 
 
 def _line(error: BaseException) -> str:

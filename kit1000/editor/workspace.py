@@ -6,7 +6,8 @@ A *body* is what the hand moves: here each part, by its index; under hand contro
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -16,6 +17,9 @@ from kit1000.editor.proposals import PartProposals, Proposal
 from kit1000.editor.scene import EditedScene
 from kit1000.editor.seen_plates import Plate
 from kit1000.editor.session import LIKELY, UNTOUCHED, PartEdit, Session, distance, part_name, same_motion
+
+if TYPE_CHECKING:
+    from kit1000.known_shapes.predictor import FoundShapes
 
 APART = 25e-3  # [m] between the pivots of two parts in different cavities
 
@@ -83,6 +87,11 @@ class Workspace:
     def part_edit(self, body: int) -> PartEdit:
         """What the body, where it is now, does to its part."""
         return self.current[body]
+
+    def know(self, shapes: FoundShapes) -> None:
+        """Show known shapes where they were found."""
+        self.scene = replace(self.scene, known=shapes)
+        self.pointing = Pointing(self.scene.kits, self.scene.plates)
 
     def adopt(self, session: Session) -> None:
         """Take over a session."""

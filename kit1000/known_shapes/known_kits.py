@@ -6,11 +6,13 @@ Either gives an assembly of kits with its slots and goals, and the parts: all th
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from kit1000.dataset.geometry import Geometry
+from kit1000.dataset.own_scenes import is_labelled, is_own
 from kit1000.errors import InputError, MeshRefused, did_you_mean
 from kit1000.kits.goals import Design, find_goals
 from kit1000.kits.shadows import PartShadows
@@ -48,10 +50,18 @@ class KnownKits:
             raise InputError(f"no part {name!r}; {did_you_mean(name, known)}there are {', '.join(known)}")
         return known[name]
 
-    @property
-    def shapes(self) -> SceneShapes:
-        """The shapes as a method gets them."""
-        return SceneShapes(self.assembly.mesh, {part.id: part.mesh for part in sorted(self.parts, key=_id)})
+    def shapes_for(self, summary: Mapping[str, Any]) -> SceneShapes:
+        """The shapes as a method gets them. summary: the dataset.json of the scenes; with ground truth no goal is told.
+
+        The files of a kit show the part seated, so that its owner need not search for the insertion.
+        """
+        meshes = {part.id: part.mesh for part in sorted(self.parts, key=_id)}
+        if not is_own(summary) or is_labelled(summary):
+            return SceneShapes(self.assembly.mesh, meshes)
+        slots = {mount.kit.slot.part_id: (mount.assembly_from_kit, mount.kit.slot) for mount in self.assembly.mounts}
+        clearances = {name: slot.clearance for name, (_, slot) in slots.items()}
+        goals = {name: assembly_from_kit @ slot.goals for name, (assembly_from_kit, slot) in slots.items()}
+        return SceneShapes(self.assembly.mesh, meshes, clearances, goals)
 
     def shape(self, name: str) -> KnownShape:
         """The shape of a body: KITS, or the id of a part."""

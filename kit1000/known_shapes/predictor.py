@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import sys
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,12 +13,14 @@ from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.known_shapes.registration import SCALE_SPREAD, RegisteredBody, RegisteredScene, register_scene
 from kit1000.known_shapes.shapes import KITS, KnownShape
+from kit1000.mesh import Mesh
 from kit1000.perception.calibration import camera_estimate_by
 from kit1000.perception.sensor_facts import SensorFacts, sensor_of
 from kit1000.pose import Pose
 from kit1000.predictor import PredictedMotion
 from kit1000.registration.method import TrueScene, fits_in
 from kit1000.registration.predictor import stated_clearances
+from kit1000.registration.rank import confidence
 from kit1000.values import LabelledDepth, Query, SceneShapes, TrueGeometry
 
 CONFIDENCE_DECIMALS = 4
@@ -35,53 +39,140 @@ class _Registered:
     def world_from(self, body: RegisteredBody) -> Pose:
         return self.world_from_camera @ self.scene.camera_from_body(body)
 
+    def nearest(self, query: Query) -> tuple[RegisteredBody, float] | None:
+        """The part whose middle is nearest to the pivot of a query, and its distance [m]; None without parts."""
+        middles = {body: self.world_from(body).apply(body.standing.shape.mesh.bounds.mean(0)) for body in self.parts}
+        distances = {body: float(np.linalg.norm(middle - query.pivot)) for body, middle in middles.items()}
+        return min(distances.items(), key=lambda entry: entry[1], default=None)
+
+    @property
+    def parts(self) -> tuple[RegisteredBody, ...]:
+        """All bodies but the kits."""
+        return self.scene.bodies[1:]
+
+    def shown(self, body: RegisteredBody) -> FoundShape:
+        """A body for a person to look at."""
+        return FoundShape(
+            body.name, body.standing.shape.mesh.moved(self.world_from(body)), tuple(self.scene.doubts(body))
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class FoundShape:
+    """A known shape where it was found."""
+
+    name: str
+    mesh: Mesh
+    """[m] world."""
+    doubts: tuple[str, ...]
+    """Why its pose may be wrong; none if the image alone settles it."""
+
+
+@dataclass(frozen=True, eq=False)
+class FoundShapes:
+    """The known shapes of an image where they were found."""
+
+    kits: FoundShape
+    parts: Mapping[int, FoundShape]
+    """By index of the part; a part whose shape was not found is left out."""
+
 
 @dataclass(frozen=True, eq=False)
 class KnownShapeRegistration:
     """Predicts by the poses of known shapes."""
 
     dataset: Dataset
-    _last: dict[tuple[str, str], _Registered] = field(default_factory=dict)
+    _last: dict[tuple[str, str], _Registered | InputError] = field(default_factory=dict)
 
     reads = "shapes"
 
     def __call__(self, query: Query, shapes: SceneShapes | None, /) -> PredictedMotion:
-        """The motion of the part whose registered pose is nearest to the query's pivot.
+        """The best of `propose`; without any the guess or no motion, with confidence 0.
 
-        Without a pose or an insertion: the guess or no motion, with confidence 0.
+        So is an image that cannot be read, such as one without a table; stderr says once why.
         """
-        if shapes is None:
-            raise InputError(f"{query.id}: registration of known shapes needs the shapes of the scene: give --shapes")
-        nothing = PredictedMotion(Pose.identity() if query.guess is None else query.guess, 0.0)
+        given, nothing = (
+            _given(query, shapes),
+            PredictedMotion(Pose.identity() if query.guess is None else query.guess, 0.0),
+        )
+        known = (query.scene_id, query.sensor) in self._last
         try:
-            found = self._registered(query, shapes)
-        except InputError:
+            found = self._registered(query, given)
+        except InputError as fault:
+            if not known:
+                print(f"{query.scene_id}: {fault}; its queries get confidence 0", file=sys.stderr)
             return nothing
-        kits, *parts = found.scene.bodies
-        if not parts:
-            return nothing
-        part = min(parts, key=lambda body: float(np.linalg.norm(self._middle(found, body) - query.pivot)))
+        return next(iter(self._insertions(query, found, given)), nothing)
+
+    def propose(self, query: Query, shapes: SceneShapes | None, /) -> list[PredictedMotion]:
+        """All insertions of the part whose registered pose is nearest to the query's pivot, the best first.
+
+        Raises InputError for an image that shows no table, or no kits.
+        """
+        given = _given(query, shapes)
+        return self._insertions(query, self._registered(query, given), given)
+
+    def find(self, queries: Sequence[Query], shapes: SceneShapes) -> FoundShapes:
+        """Where the shapes are, for a person to look at. queries: about parts of one image.
+
+        Raises InputError for an image that shows no table, or no kits.
+        """
+        found = self._registered(queries[0], shapes)
+        nearest = {query.part: body for query in queries if (body := found.nearest(query)) is not None}
+        parts = {part: found.shown(body) for part, (body, far) in nearest.items() if far <= body.standing.radius}
+        return FoundShapes(found.shown(found.scene.bodies[0]), parts)
+
+    def _insertions(self, query: Query, found: _Registered, shapes: SceneShapes) -> list[PredictedMotion]:
+        """All insertions of a part: its goals, the least rotation first; or those that registration finds.
+
+        The first is as sure as the poses, others of registration less by what tells them apart.
+        """
+        nearest, kits = found.nearest(query), found.scene.bodies[0]
+        if nearest is None:
+            return []
+        part = nearest[0]
+        if part.name in shapes.goals:
+            motions = found.world_from(kits) @ shapes.goals[part.name] @ found.world_from(part).inverse()
+            start = Pose.identity() if query.guess is None else query.guess
+            order = np.argsort(np.atleast_1d((motions @ start.inverse()).angle()), kind="stable")
+            return [PredictedMotion(motions[i], _confidence(found.scene, kits, part)) for i in order]
         geometry = TrueGeometry(
             shapes.parts[part.name], found.world_from(part), shapes.assembly, found.world_from(kits)
         )
-        fits = fits_in(TrueScene(query, geometry), stated_clearances(self.dataset))
-        return PredictedMotion(fits[0].goal_from_now, _confidence(found.scene, kits, part)) if fits else nothing
+        stated = shapes.clearances.get(part.name)
+        fits = fits_in(TrueScene(query, geometry), (stated,) if stated else stated_clearances(self.dataset))
+        sure, odds = _confidence(found.scene, kits, part), [confidence(fit, fits) for fit in fits]
+        shares = [min(each / max(odds[0], 1e-6), 1.0) for each in odds[1:]]
+        confidences = [sure, *(round(sure * share, CONFIDENCE_DECIMALS) for share in shares)]
+        return [PredictedMotion(fit.goal_from_now, each) for fit, each in zip(fits, confidences, strict=False)]
 
     def _registered(self, query: Query, shapes: SceneShapes) -> _Registered:
         """The scene of a query's image; that of the last image is kept, for queries come scene by scene."""
         key = query.scene_id, query.sensor
         if key not in self._last:
             self._last.clear()
-            sensor = sensor_of(self.dataset.summary, query.sensor, query.scene_id)
-            image, spread = _calibrated(query.image, sensor)
-            parts = [KnownShape.of(name, mesh) for name, mesh in shapes.parts.items()]
-            scene = register_scene(image, sensor, KnownShape.upright(KITS, shapes.assembly), parts, spread)
-            self._last[key] = _Registered(scene, image.view.world_from_camera)
-        return self._last[key]
+            try:
+                self._last[key] = self._register(query, shapes)
+            except InputError as fault:
+                self._last[key] = fault
+        found = self._last[key]
+        if isinstance(found, InputError):
+            raise found
+        return found
 
-    @staticmethod
-    def _middle(found: _Registered, body: RegisteredBody) -> np.ndarray:
-        return found.world_from(body).apply(body.standing.shape.mesh.bounds.mean(0))
+    def _register(self, query: Query, shapes: SceneShapes) -> _Registered:
+        sensor = sensor_of(self.dataset.summary, query.sensor, query.scene_id)
+        image, spread = _calibrated(query.image, sensor)
+        parts = [KnownShape.of(name, mesh) for name, mesh in shapes.parts.items()]
+        scene = register_scene(image, sensor, KnownShape.upright(KITS, shapes.assembly), parts, spread)
+        return _Registered(scene, image.view.world_from_camera)
+
+
+def _given(query: Query, shapes: SceneShapes | None) -> SceneShapes:
+    """The shapes, or an error that says how to give them."""
+    if shapes is None:
+        raise InputError(f"{query.id}: registration of known shapes needs the shapes of the scene: give --shapes")
+    return shapes
 
 
 def _calibrated(image: LabelledDepth, sensor: SensorFacts) -> tuple[LabelledDepth, float]:

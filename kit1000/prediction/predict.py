@@ -186,14 +186,14 @@ def _geometry(
     if method.uses_true_geometry:
         return dataset.geometry.true_geometry(scene.truth_of(query.id))
     if method.reads == "shapes":
-        return scene.shapes if config.shapes is None else _given_shapes(config.shapes, config.assembly)
+        return scene.shapes if config.shapes is None else _given_shapes(dataset, config.shapes, config.assembly)
     return None
 
 
 @lru_cache(maxsize=1)
-def _given_shapes(folder: str, assembly: str | None) -> SceneShapes:
+def _given_shapes(dataset: Dataset, folder: str, assembly: str | None) -> SceneShapes:
     """The shapes of a folder."""
-    return resolved(READ_SHAPES)(Path(folder), assembly).shapes
+    return resolved(READ_SHAPES)(Path(folder), assembly).shapes_for(dataset.summary)
 
 
 @lru_cache(maxsize=1)

@@ -107,6 +107,24 @@ def test_what_needs_ground_truth_says_in_one_line_that_there_is_none(
 RARE = [pytest.param(key, marks=pytest.mark.slow) for key in ("files", "counts", "preset", "seed", "data_version")]
 
 
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--part", "part.stl"], "--part: needs --kit FILE"),
+        (["--kit", "kit.stl"], "--kit: needs --part FILE"),
+        (["--shapes", "kit", "--kit", "kit.stl"], "either --shapes FOLDER, or --kit FILE and --part FILE"),
+        (["--shapes", "kit", "--snap", "registration"], "--snap registration: reads no shapes"),
+        (["--shapes", "kit", "--snap", "none"], "--snap none: reads no shapes"),
+        (["--kit", "2"], "--kit: is for own depth images"),
+    ],
+)
+def test_shapes_for_the_page_are_given_completely(
+    options: list[str], message: str, own: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (line,) = lines_of(main(["edit", str(own), *options]), capsys, 2)
+    assert message in line
+
+
 @pytest.mark.parametrize("key", ["checksum", "config", "shards", *RARE])
 def test_a_missing_entry_is_one_line_or_no_matter(
     mini: Path, tmp_path: Path, summary: dict[str, Any], key: str, capsys: pytest.CaptureFixture[str]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 
 from kit1000.camera import look_at
 from kit1000.cli import main
+from kit1000.editor.controller import Controller
 from kit1000.editor.display import FIELD, HIDDEN_KITS, KITS, body_node, ghost_node
 from kit1000.editor.keys import KEYS, help_text
 from kit1000.editor.pointing import Eye
@@ -22,10 +24,11 @@ from kit1000.editor.session import Session, same_motion
 from kit1000.editor.texts import LIKELY_COLOUR, SURE_COLOUR, UNSURE_COLOUR, confidence_colour, plain
 from kit1000.editor.worker import Completion, Job, Result
 from kit1000.errors import InputError
+from kit1000.known_shapes.predictor import FoundShape, FoundShapes
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.submission import read_submission
-from tests.samples.editing import EYE, answered, desk, dragged, found, goal, header_of, off, scene_of
+from tests.samples.editing import EYE, FakeStage, answered, desk, dragged, found, goal, header_of, off, scene_of
 
 
 @pytest.fixture(params=["ideal", "d415"])
@@ -276,7 +279,7 @@ def test_a_session_with_true_shapes_says_so_everywhere(mini: Path, tmp_path: Pat
     scene = scene_of(mini, truth=True)
     table, part = desk(scene, tmp_path), scene.parts[0]
     table.controller.place(part, goal(scene, part))
-    assert "True shapes: stands on the kit." in table.stage.texts["fit"]
+    assert "By the shapes it stands on the kit." in table.stage.texts["fit"]
     table.controller.command("confirm")
     assert all(json.loads(line)["truth"] for line in (tmp_path / FILE).read_text().splitlines())
     manifest = read_submission(tmp_path).manifest
@@ -305,6 +308,44 @@ def test_completed_kits_are_shown_beside_the_seen_ones_and_hidden_with_them(scen
     assert not {KITS, HIDDEN_KITS} & table.stage.hidden
 
 
+def test_known_shapes_replace_what_is_seen_and_doubts_are_marked(
+    scene: EditedScene, mini: Path, tmp_path: Path
+) -> None:
+    table, (part, *others) = desk(scene, tmp_path), scene.parts
+    true = scene_of(mini, truth=True)
+    part_mesh, kits = true.meshes[part], FoundShape("kits", true.kits, ("the scale is open",))
+    table.controller.command(f"select-{part + 1}")
+    table.controller.completed(Completion(None, shapes=FoundShapes(kits, {part: FoundShape("tee", part_mesh, ())})))
+    meshes = table.stage.meshes
+    assert meshes[KITS] is true.kits
+    assert meshes[body_node(part)] is meshes[ghost_node(part)] is part_mesh
+    lines = table.stage.texts["parts"].splitlines()
+    assert lines[0].startswith("kits ? pose not sure: the scale is open")
+    assert "tee" in lines[1]
+    assert "?" not in lines[1] + table.stage.labels[f"/name/{part}"]
+    for line, other in zip(lines[2:], others, strict=True):
+        assert meshes[body_node(other)] is not true.meshes[other]  # its shape was not found: as seen
+        assert "?" in line
+        assert "?" in table.stage.labels[f"/name/{other}"]
+    table.controller.place(part, goal(scene, part))
+    assert "By the shapes it stands on the kit." in table.stage.texts["fit"]
+    table.controller.command("confirm")
+    assert table.controller.space.session.edits[part].confirmed
+
+
+def test_sessions_with_and_without_shapes_are_not_mixed(scene: EditedScene, tmp_path: Path) -> None:
+    header = replace(header_of(scene), shapes=True)
+    log = EventLog(tmp_path, header)
+    table = Controller(scene, FakeStage(), log, None)
+    part = scene.parts[0]
+    table.place(part, goal(scene, part))
+    table.select(part)
+    table.command("confirm")
+    assert read_submission(tmp_path).manifest.reads == "shapes"
+    with pytest.raises(InputError, match="shapes True, not False; choose another --out"):
+        EventLog(tmp_path, header_of(scene))
+
+
 def test_where_no_kits_are_completed_the_page_is_as_before(scene: EditedScene, mini: Path, tmp_path: Path) -> None:
     mesh = Mesh(np.eye(3), np.array([[0, 1, 2]], np.int32))
     nothing = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
@@ -316,7 +357,7 @@ def test_where_no_kits_are_completed_the_page_is_as_before(scene: EditedScene, m
     hand.controller.completed(Completion(mesh))
     assert HIDDEN_KITS not in hand.stage.meshes
     blind.controller.completed(Completion(None, "no [weights](x)"))
-    assert blind.stage.texts["note"] == "What the image hides of the kits is not shown: no weights(x)"
+    assert blind.stage.texts["note"] == "Only what the image shows is shown: no weights(x)"
 
 
 def test_colour_follows_confidence_in_three_steps() -> None:

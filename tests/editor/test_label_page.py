@@ -13,6 +13,7 @@ import viser
 
 from kit1000.camera import look_at
 from kit1000.dataset.reader import Dataset
+from kit1000.editor.display import body_node
 from kit1000.editor.label_page import LabelPage, labelling
 from kit1000.editor.pointing import Eye
 from kit1000.labelling.label_records import read_record, write_record
@@ -69,6 +70,15 @@ def test_a_drag_slides_a_body_over_the_table(page: LabelPage) -> None:
     assert np.allclose(after.xyz - before.xyz, wanted, atol=1e-9)
     assert np.allclose(after.rotation_matrix(), before.rotation_matrix())
     assert page.selected == "tee"
+
+
+def test_another_mesh_of_a_body_still_sends_its_events(page: LabelPage, monkeypatch: pytest.MonkeyPatch) -> None:
+    listened: list[str] = []
+    monkeypatch.setattr(viser.MeshHandle, "on_click", lambda handle, _: listened.append(handle.name))
+    label = body_of(page, "tee")
+    page.stage.show(body_node(label), page.correction.mesh("tee"), (9, 9, 9), None)
+    page.stage.show("/something-else", page.correction.mesh("tee"), (9, 9, 9), None)
+    assert listened == [body_node(label)]
 
 
 def test_a_drag_with_a_key_turns_it_about_the_vertical(page: LabelPage) -> None:

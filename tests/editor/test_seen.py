@@ -14,7 +14,7 @@ from kit1000.editor.dragging import levelled, rotated, slid
 from kit1000.editor.part_on_plate import Cavities
 from kit1000.editor.pointing import Eye, Pointing
 from kit1000.editor.seen import observed, seen_surface, with_skirt
-from kit1000.editor.seen_plates import TABLE, Plate, find_plates
+from kit1000.editor.seen_plates import TABLE, Plate, find_plates, plates_of
 from kit1000.editor.session import distance
 from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.parts.cad import polygon, prism
@@ -23,6 +23,7 @@ from kit1000.pose import Pose, quaternion_between
 from kit1000.sim.layout import table
 from kit1000.sim.render import render
 from kit1000.values import View
+from tests.samples.labelled_scenes import sample_kits
 
 CAMERA = Camera(640, 360, 460.0, 460.0, 319.5, 179.5)
 VIEW_POSE = look_at((0.05, -0.5, 0.6), (0.0, 0.0, 0.03))
@@ -225,3 +226,19 @@ def test_the_share_beside_the_cavity_is_that_of_the_shifted_square(shift: float,
     assert cavities.share_beside(points, motion, plate) == pytest.approx(share, abs=0.07)
     text = cavities.text(points, motion, plate)
     assert ("all of it is over a cavity" in text) == (shift == 0)
+
+
+def test_a_known_shape_has_its_plates_and_not_the_floors_of_cavities_or_islands_in_them() -> None:
+    island = (
+        mesh_from_solid(prism(polygon(square(12.0)), 18.0)).scaled(1e-3).moved(Pose.from_translation((0, 0, -18e-3)))
+    )
+    both = Mesh(
+        np.concatenate([kit().vertices, island.vertices]),
+        np.concatenate([kit().faces, island.faces + len(kit().vertices)]),
+    )
+    (plate,) = plates_of(both.moved(WORLD_FROM_PLATE))
+    assert np.allclose(plate.normal, WORLD_FROM_PLATE.rotate((0.0, 0.0, 1.0)), atol=1e-9)
+    assert np.allclose(plate.point, WORLD_FROM_PLATE.xyz, atol=1e-6)
+    assert plate.radius == pytest.approx(0.05 * np.sqrt(2))
+    kits = sample_kits()
+    assert len(plates_of(kits.assembly.mesh)) == len(kits.assembly.mounts)

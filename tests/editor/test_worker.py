@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
@@ -32,11 +33,12 @@ from kit1000.editor.worker import (
     proposals_of,
 )
 from kit1000.errors import InputError
+from kit1000.known_shapes.predictor import FoundShape, FoundShapes
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.prediction.making import make_predictor
 from kit1000.predictor import PredictedMotion
-from kit1000.values import Query, TrueGeometry
+from kit1000.values import Query, SceneShapes, TrueGeometry
 from tests.samples.editing import desk, dragged, goal, off, scene_of
 
 NEAR = Pose.from_rotvec((0.0, 0.0, 0.1), (0.004, -0.003, 0.0))
@@ -137,6 +139,38 @@ class Completing:
     def completed_kits(self, query: Query) -> Mesh:
         assert query.guess is None
         return Mesh(query.pivot + np.eye(3), np.array([[0, 1, 2]], np.int32))
+
+
+class Knowing:
+    """A method that reads shapes."""
+
+    reads = "shapes"
+
+    def __init__(self, dataset: Dataset) -> None:
+        self.dataset = dataset
+
+    def __call__(self, query: Query, shapes: SceneShapes) -> PredictedMotion:
+        assert query.guess is not None
+        return PredictedMotion(query.guess, 0.25 if shapes.parts else 0.0)
+
+    def find(self, queries: Sequence[Query], shapes: SceneShapes) -> FoundShapes:
+        kits = FoundShape("kits", shapes.assembly, ())
+        return FoundShapes(kits, {query.part: FoundShape("p", shapes.assembly, ("?",)) for query in queries})
+
+
+def test_a_method_that_reads_shapes_gets_those_of_the_user_or_of_the_dataset(mini: Path) -> None:
+    scene, triangle = scene_of(mini), Mesh(np.eye(3), np.array([[0, 1, 2]], np.int32))
+    method = Method(f"{__name__}:Knowing", mini, scene.recorded.id, "ideal", False)
+    for shapes in (None, SceneShapes(triangle, {"p": triangle})):
+        prepared.cache_clear()
+        made = prepared(replace(method, shapes=shapes))
+        found = completion_of(made).shapes
+        assert found is not None
+        assert {*found.parts} == {*made.queries}
+        assert (found.kits.mesh is triangle) == (shapes is not None)
+        assert proposals_of(made, Job(scene.parts[0], NEAR))[0].confidence == 0.25
+    assert hash(replace(method, shapes=shapes)) == hash(method)  # one is prepared once
+    prepared.cache_clear()
 
 
 def test_a_method_completes_the_kits_of_the_scene_or_does_not(mini: Path) -> None:

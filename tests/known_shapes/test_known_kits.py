@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from kit1000.dataset.mesh_files import stl_bytes
+from kit1000.dataset.own_scenes import OWN
 from kit1000.errors import InputError
 from kit1000.export.own_part import KitOptions, make_kit_from_file
 from kit1000.known_shapes.known_kits import kits_of_files, kits_of_folder, read_known_kits
@@ -57,6 +58,20 @@ def test_the_clearance_is_read_from_the_report_beside_the_kit(tmp_path: Path) ->
     kits = kits_of_files(tmp_path / "kit/kit.stl", tmp_path / "kit/part.stl")
     assert kits.assembly.mounts[0].kit.slot.clearance == pytest.approx(1.5e-3)
     assert kits.parts[0].id == "kit"  # its folder: every part.stl has that name
+
+
+def test_goals_are_told_for_own_scenes_without_truth_alone() -> None:
+    """Files of a kit show the part seated; in scenes with ground truth goals are never input of a method."""
+    kits = sample_kits()
+    own = {OWN: {}}
+    told = kits.shapes_for(own)
+    for mount, part in zip(kits.assembly.mounts, kits.parts, strict=True):
+        goals = told.goals[part.id]
+        assert np.allclose(goals.xyz, (mount.assembly_from_kit @ mount.kit.slot.goals).xyz)
+        assert told.clearances[part.id] == mount.kit.slot.clearance
+    for scored in ({}, own | {"files": {"test/0000.truth.mcap": ""}}):
+        assert not kits.shapes_for(scored).goals
+        assert not kits.shapes_for(scored).clearances
 
 
 def test_files_that_do_not_fit_are_refused_in_one_line(tmp_path: Path) -> None:
