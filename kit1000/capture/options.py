@@ -34,6 +34,8 @@ class ImportOptions:
     """None: as the files say, else raw of a scanner and aligned of other cameras."""
     kit: int = 1
     """Number of the body that is the kit, the largest first, from 1."""
+    kit_size: tuple[float, float, float] | None = None
+    """[m] level sides and height of the kit: the body nearest to them is the kit, instead of the largest."""
     world_from_camera: tuple[Path, ...] = ()
     """Files of hand-eye poses: one for all images, or one for each; empty: the world follows from the bodies."""
     empty_table: Path | None = None

@@ -93,7 +93,7 @@ def own_scene(
         image = image_of_frames(frames, known, unit)
         table, floor = _on_empty_table(image, source, empty)
     bodies = seen_bodies(table, floor)
-    chosen = _with_kit_first(bodies.sure, options.kit, source, table)
+    chosen = _with_kit_first(bodies.sure, options, source, table)
     if stated is None and first.integers:
         check_assumed_unit(source, unit, table.distance, chosen[0].sides)
     facts = _facts(first, known, image, table, options, unit)
@@ -128,8 +128,9 @@ def _on_empty_table(image: PinholeImage, source: str, empty: Table) -> tuple[Tab
     return replace(empty, image=image), empty.flat_heights
 
 
-def _with_kit_first(bodies: list[SeenBody], kit: int, source: str, table: Table) -> list[SeenBody]:
+def _with_kit_first(bodies: list[SeenBody], options: ImportOptions, source: str, table: Table) -> list[SeenBody]:
     """Bodies with the kit first, the others as they are."""
+    kit = options.kit
     if not bodies:
         raise InputError(
             f"{source}: nothing higher than {1e3 * max(2.5e-3, 2.5 * table.ripple):.1f} mm stands on the table "
@@ -137,6 +138,10 @@ def _with_kit_first(bodies: list[SeenBody], kit: int, source: str, table: Table)
         )
     if not 1 <= kit <= len(bodies):
         raise InputError(f"--kit {kit}: {source} shows {len(bodies)} bodies; expected 1 to {len(bodies)}")
+    if kit == 1 and options.kit_size is not None:
+        wanted = np.log((*sorted(options.kit_size[:2]), options.kit_size[2]))
+        off = [np.abs(np.log((*body.sides, body.height)) - wanted).sum() for body in bodies]
+        kit = 1 + int(np.argmin(off))
     return [bodies[kit - 1], *bodies[: kit - 1], *bodies[kit:]]
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
 
@@ -69,16 +69,16 @@ class OwnImages:
         return [f"--{name.replace('_', '-')}" for name in given]
 
     def asked(
-        self, sources: tuple[Path, ...], out: Path, kit: int, licence: str = "", one_scene: bool = False
+        self, sources: tuple[Path, ...], out: Path, kit: int, licence: str = "", one_scene: bool = False, **known: Any
     ) -> ImportOptions:
-        """The import that these options describe. kit: which body is the kit."""
+        """The import that these options describe. kit: which body is the kit. known: further `ImportOptions`."""
         from kit1000.capture.mask_networks import networks_available
         from kit1000.capture.options import LICENCE, ImportOptions
 
         values = {field.name: getattr(self, field.name) for field in fields(OwnImages)}
         masks = values.pop("masks")
         networks = masks == "networks" or (masks is None and networks_available())
-        rest = {"networks": networks, "licence": licence or LICENCE, "one_scene": one_scene}
+        rest = known | {"networks": networks, "licence": licence or LICENCE, "one_scene": one_scene}
         return ImportOptions(sources=sources, out=out, kit=kit, **values, **rest)
 
 

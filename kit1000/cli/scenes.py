@@ -205,7 +205,9 @@ class Edit(OwnImages):
         if self.clearance_mm is None and len(stated) == 1:
             own = replace(own, clearance_mm=1e3 * stated.pop())
         folder = self.out or default_folder((self.data,))
-        for line in import_scenes(own.asked((self.data,), folder, self.kit if isinstance(self.kit, int) else 1)):
+        body = self.kit if isinstance(self.kit, int) else 1
+        size = None if kits is None else tuple(kits.assembly.mesh.extents.tolist())
+        for line in import_scenes(own.asked((self.data,), folder, body, kit_size=size)):
             print(line)
         return folder, folder.with_name(f"{folder.name}-edits")
 

@@ -118,9 +118,14 @@ class KnownShapeRegistration:
         Raises InputError for an image that shows no table, or no kits.
         """
         found = self._registered(queries[0], shapes)
-        nearest = {query.part: body for query in queries if (body := found.nearest(query)) is not None}
-        parts = {part: found.shown(body) for part, (body, far) in nearest.items() if far <= body.standing.radius}
-        return FoundShapes(found.shown(found.scene.bodies[0]), parts)
+        nearest = {query.part: entry for query in queries if (entry := found.nearest(query)) is not None}
+        parts: dict[int, RegisteredBody] = {}
+        for part in sorted(nearest, key=lambda part: nearest[part][1]):  # masks may cut a part into several
+            body, far = nearest[part]
+            if far <= body.standing.radius and body not in parts.values():
+                parts[part] = body
+        shown = {part: found.shown(body) for part, body in parts.items()}
+        return FoundShapes(found.shown(found.scene.bodies[0]), shown)
 
     def _insertions(self, query: Query, found: _Registered, shapes: SceneShapes) -> list[PredictedMotion]:
         """All insertions of a part: its goals, the least rotation first; or those that registration finds.

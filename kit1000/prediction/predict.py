@@ -19,6 +19,7 @@ from typing import Literal
 
 from tqdm import tqdm
 
+from kit1000.dataset.own_scenes import is_own
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.errors import InputError, InternalError, Kit1000Error, did_you_mean, failure_text
 from kit1000.files import check_output
@@ -276,7 +277,7 @@ def _manifest(config: RunConfig, method: Method, dataset: Dataset, tracks: set[s
         uses_true_geometry=method.uses_true_geometry,
         reads=method.reads,
         control=method.control,
-        masks=method.masks,
+        masks="predicted" if is_own(dataset.summary) else method.masks,  # the import finds those of own scenes
         paper_row=method.paper_row,
         training_data=method.training_data,
         camera_set=method.camera_set,

@@ -156,6 +156,16 @@ def test_the_kit_is_the_body_that_is_named() -> None:
         scene_of(depth, wanted(kit=9))
 
 
+def test_the_kit_is_the_body_of_its_size() -> None:
+    """Even if another one is larger."""
+    depth = millimetres(exact_depth())
+    largest, other, *_ = scene_of(depth).bodies
+    size = (other.sides[1] * 1.05, other.sides[0] * 0.97, other.height * 1.1)
+    chosen = scene_of(depth, wanted(kit_size=size)).bodies
+    assert (chosen[0].area, chosen[1].area) == (other.area, largest.area)
+    assert scene_of(depth, wanted(kit_size=size, kit=3)).kit.area < other.area  # a number that is given counts
+
+
 def test_an_empty_table_is_no_scene() -> None:
     with pytest.raises(InputError, match="nothing higher than"):
         scene_of(millimetres(noisy_depth(exact_depth(()), 0.05)))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from kit1000.dataset.own_scenes import OWN
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.known_shapes import predictor as module
@@ -18,6 +20,7 @@ from kit1000.prediction.making import method_of
 from kit1000.prediction.predict import RunConfig, predict
 from kit1000.registration.predictor import stated_clearances
 from kit1000.values import SceneShapes
+from tests.samples.labelled_scenes import own_folder, shapes_folder
 
 
 def test_a_method_gets_meshes_without_poses(mini: Path) -> None:
@@ -119,3 +122,13 @@ def test_the_runner_hands_over_the_shapes(mini: Path, tmp_path: Path) -> None:
     submission = predict(config, mini, tmp_path / "out", workers=1)
     assert submission.manifest.reads == "shapes"
     assert not submission.manifest.uses_true_geometry
+
+
+def test_rows_on_own_scenes_state_found_masks(tmp_path: Path) -> None:
+    root = own_folder(tmp_path / "mine")
+    shapes_folder(tmp_path / "shapes")
+    path = root / "dataset.json"
+    path.write_text(json.dumps(json.loads(path.read_text("utf-8")) | {OWN: {}}), encoding="utf-8")
+    config = RunConfig.of("registration-known", "given", ("test",), None, limit=1, shapes=tmp_path / "shapes")
+    submission = predict(config, root, tmp_path / "out", workers=1)
+    assert (submission.manifest.reads, submission.manifest.masks) == ("shapes", "predicted")
