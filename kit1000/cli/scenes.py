@@ -14,8 +14,10 @@ from kit1000.cli.capture import OwnImages, need_truth
 from kit1000.cli.command_line import check_least
 from kit1000.cli.labels import known_kits
 from kit1000.cli.options import Folder, OptionalId, OptionalInt, OptionalName, OptionalPath, optional
+from kit1000.dataset.own_scenes import OWN
 from kit1000.editor import SNAP
 from kit1000.errors import InputError
+from kit1000.files import read_json
 from kit1000.queries.tracks import Sensor
 
 if TYPE_CHECKING:
@@ -205,11 +207,23 @@ class Edit(OwnImages):
         if self.clearance_mm is None and len(stated) == 1:
             own = replace(own, clearance_mm=1e3 * stated.pop())
         folder = self.out or default_folder((self.data,))
+        if _was_imported(folder, self.data):
+            print(f"{folder}: imported before; delete it to import {self.data} again")
+            return folder, folder.with_name(f"{folder.name}-edits")
         body = self.kit if isinstance(self.kit, int) else 1
         size = None if kits is None else tuple(kits.assembly.mesh.extents.tolist())
         for line in import_scenes(own.asked((self.data,), folder, body, kit_size=size)):
             print(line)
         return folder, folder.with_name(f"{folder.name}-edits")
+
+
+def _was_imported(folder: Path, source: Path) -> bool:
+    """Whether a folder holds the scene of an image, which has not changed since."""
+    summary = folder / "dataset.json"
+    if not (summary.is_file() and source.is_file() and source.stat().st_mtime < summary.stat().st_mtime):
+        return False
+    own = read_json(summary).get(OWN)
+    return isinstance(own, dict) and own.get("sources") == [str(source)]
 
 
 def _chosen_scene(dataset: Dataset, scene: str | None, sensor: str | None) -> tuple[str, str]:

@@ -85,6 +85,8 @@ def kits_of_folder(folder: Path, assembly_id: str | None = None) -> KnownKits:
     assembly_id: None for the only one of the folder.
     """
     if (folder / "kit.stl").is_file() and not (folder / "dataset.json").is_file():
+        if assembly_id is not None:
+            raise InputError(f"--assembly {assembly_id}: is for a dataset; {folder} holds one kit")
         return kits_of_files(folder / "kit.stl", folder / "part.stl")
     geometry = Geometry(folder)
     known = sorted(geometry.assemblies)
@@ -147,14 +149,22 @@ def _reported_clearance(kit_path: Path) -> float:
 
 def _check_seated(plate: Mesh, seated: Mesh, path: Path) -> None:
     """Refuse a part that is not in the plate, whose top face is at z = 0."""
-    lowest = float(seated.bounds[0, 2])
+    lowest, inside = float(seated.bounds[0, 2]), _is_within(seated, plate)
     shared = float((solid_from_mesh(plate) ^ solid_from_mesh(seated)).volume())
     allowed = OVERLAP + 1e-6 * seated.area
-    if lowest >= 0 or lowest < plate.bounds[0, 2] or shared > allowed:
-        what = f"cuts into the kit by {shared * 1e9:.3g} mm3" if shared > allowed else (
-            f"its lowest point is at {lowest * MM:.3g} mm from the kit's top face"
-        )  # fmt: skip
+    if lowest >= 0 or lowest < plate.bounds[0, 2] or shared > allowed or not inside:
+        what = f"its lowest point is at {lowest * MM:.3g} mm from the kit's top face"
+        if shared > allowed:
+            what = f"cuts into the kit by {shared * 1e9:.3g} mm3"
+        elif not inside:
+            what = "lies beside the kit"
         raise InputError(
             f"{path}: {what}: expected the part seated in the frame of the kit, as `kit1000 kit` writes part.stl; "
             "several plates on brackets are given by --shapes"
         )
+
+
+def _is_within(part: Mesh, plate: Mesh) -> bool:
+    """Whether a part is over a plate, as seen from above."""
+    low, high = part.bounds[:, :2] - plate.bounds[:, :2]
+    return bool((low >= 0).all() and (high <= 0).all())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,7 @@ from kit1000.registration.rank import from_elsewhere
 from kit1000.submission import Predictions, check, read_submission, write_submission
 from kit1000.submission.manifest import Manifest
 from kit1000.values import ASSEMBLY_LABEL, Prediction
+from tests.samples.labelled_scenes import CLEARANCE, shapes_folder
 from tests.samples.own_images import CAMERA, EYE, exact_depth, millimetres, noisy_depth
 
 DEPTH = millimetres(noisy_depth(exact_depth(), 0.05))
@@ -365,13 +367,35 @@ def test_an_image_is_imported_before_it_is_edited(
     words = ["edit", str(image), "--intrinsics", *NUMBERS, "--masks", "depth"]
     assert main(words) == 0
     assert "body 1:" in capsys.readouterr().out
-    (options,) = asked
-    assert (options.scene, options.sensor) == ("test-s0000", "d415")
+    options = asked.pop()
+    assert (options.scene, options.sensor, options.shapes) == ("test-s0000", "d415", None)
     assert options.data == image.with_name("depth-scene")
     assert Dataset(options.data).split("test").scene_ids == ["test-s0000"]
     assert options.out.parent == image.parent  # not in the folder of the scene, whose files are listed
-    assert main(words) == 2  # the folder is there: it is never written over
+    assert main(words) == 0  # goes on
+    assert "imported before" in capsys.readouterr().out
+    assert asked.pop() == options
+    os.utime(image, (later := options.data.stat().st_mtime + 60, later))
+    assert main(words) == 2  # another image: the folder is never written over
     assert "is not empty" in capsys.readouterr().err
+
+
+def test_an_image_of_known_shapes_is_edited_by_them(
+    image: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("viser")
+    from kit1000.editor import serve
+
+    asked: list[serve.Options] = []
+    monkeypatch.setattr(serve, "run", asked.append)
+    shapes_folder(tmp_path / "shapes")
+    words = ["edit", str(image), "--intrinsics", *NUMBERS, "--masks", "depth", "--shapes", str(tmp_path / "shapes")]
+    assert main(words) == 0
+    (options,) = asked
+    assert options.snap == "registration-known"
+    assert options.shapes is not None
+    assert set(options.shapes.goals) == set(options.shapes.parts) == {"bracket", "tee"}
+    assert Dataset(options.data).summary["config"]["clearance"] == CLEARANCE
 
 
 def test_the_sensor_of_an_image_to_edit_may_be_a_scanner(

@@ -20,7 +20,10 @@ from kit1000.editor.controller import Controller
 from kit1000.editor.hand import PLACE, HandWorkspace
 from kit1000.editor.page import ViserStage, eye_of
 from kit1000.editor.pointing import Eye
+from kit1000.editor.scene import EditedScene
 from kit1000.editor.serve import Options, editing
+from kit1000.editor.worker import Completion
+from kit1000.known_shapes.predictor import FoundShape, FoundShapes
 from kit1000.pose import Pose
 from kit1000.predictor import PredictedMotion
 from kit1000.submission import read_submission
@@ -192,6 +195,27 @@ def test_a_part_is_carried_by_two_cups(carrying: tuple[Controller, str], visit: 
     wait(lambda: (controller.log.path.parent / "manifest.toml").is_file(), page)
     assert len(read_submission(controller.log.path.parent).predictions) >= 1
     page.close()
+
+
+def test_a_part_is_dragged_after_its_known_shape_has_replaced_what_was_seen(
+    mini: Path, tmp_path: Path, visit: Callable[[str], Page]
+) -> None:
+    scene_id = Dataset(mini).split("test").scene_ids[0]
+    true = EditedScene.open(Dataset(mini), scene_id, "ideal", truth=True)
+    found = {part: FoundShape("known", mesh, ()) for part, mesh in true.meshes.items()}
+    with editing(Options(mini, scene_id, tmp_path)) as (controller, address):
+        page = visit(address)
+        controller.completed(Completion(None, shapes=FoundShapes(FoundShape("kits", true.kits, ()), found)))
+        ready(controller, page)
+        space, part = controller.space, controller.space.scene.parts[0]
+        page.get_by_text("known").first.wait_for(timeout=1000 * PATIENCE_S)
+        page.mouse.move(*on_page(controller, page, space.scene.pivot(part)))
+        page.mouse.down()
+        page.mouse.move(*on_page(controller, page, space.scene.plates[0].point), steps=4)
+        wait(lambda: space.over_kits(part), page)
+        page.mouse.up()
+        wait(lambda: len(space.session.done) == 1, page)
+        page.close()
 
 
 def test_a_reload_shows_the_same_and_a_second_tab_only_watches(

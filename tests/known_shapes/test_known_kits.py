@@ -17,10 +17,10 @@ from tests.samples.kits import sample_kit, sample_part
 from tests.samples.labelled_scenes import sample_kits, shapes_folder
 
 
-def write_pair(folder: Path, lift: float = 0.0) -> tuple[Path, Path]:
-    """The files of a kit and its seated part, lifted by a distance [m]."""
+def write_pair(folder: Path, lift: float = 0.0, aside: float = 0.0) -> tuple[Path, Path]:
+    """The files of a kit and its seated part, lifted and moved aside by distances [m]."""
     kit, part = sample_kit("bracket"), sample_part("bracket")
-    seated = part.mesh.moved(Pose.from_translation((0.0, 0.0, lift)) @ kit.slot.kit_from_part)
+    seated = part.mesh.moved(Pose.from_translation((aside, 0.0, lift)) @ kit.slot.kit_from_part)
     (folder / "plate.stl").write_bytes(stl_bytes(kit.mesh))
     (folder / "seated.stl").write_bytes(stl_bytes(seated))
     return folder / "plate.stl", folder / "seated.stl"
@@ -57,6 +57,8 @@ def test_the_clearance_is_read_from_the_report_beside_the_kit(tmp_path: Path) ->
     make_kit_from_file(tmp_path / "mine.stl", tmp_path / "kit", KitOptions(1.5e-3, preview=False))
     kits = kits_of_files(tmp_path / "kit/kit.stl", tmp_path / "kit/part.stl")
     assert kits.assembly.mounts[0].kit.slot.clearance == pytest.approx(1.5e-3)
+    with pytest.raises(InputError, match=r"--assembly any: is for a dataset; .*kit holds one kit"):
+        kits_of_folder(tmp_path / "kit", "any")
     assert kits.parts[0].id == "kit"  # its folder: every part.stl has that name
 
 
@@ -80,6 +82,8 @@ def test_files_that_do_not_fit_are_refused_in_one_line(tmp_path: Path) -> None:
         kits_of_files(plate, seated)
     with pytest.raises(InputError, match=r"seated.stl: its lowest point is at .* mm .*expected the part seated"):
         kits_of_files(*write_pair(tmp_path, lift=0.05), clearance=2.5e-3)
+    with pytest.raises(InputError, match=r"seated.stl: lies beside the kit"):
+        kits_of_files(*write_pair(tmp_path, aside=0.2), clearance=2.5e-3)
     with pytest.raises(InputError, match=r"seated.stl: cuts into the kit by .* mm3"):
         kits_of_files(*write_pair(tmp_path, lift=-1.5e-3), clearance=2.5e-3)
     with pytest.raises(InputError, match=r"none.stl"):
