@@ -25,7 +25,7 @@ def main() -> None:
 def picture(rows: list[dict[str, Any]]) -> str:
     """An SVG file of the rows of the table."""
     dots = sorted(map(_dot, rows), key=lambda dot: -(dot.value or 0.0))
-    title = "Parts seated by frames, distance, places, clearance"
+    title = "Parts seated, masks given, by frames, distance, places, clearance"
     description = "Share of parts seated under conditions of the camera, with intervals of 95 %."
     return standalone([[dot_plot(title, description, dots, Axis("parts seated, %", 100.0), NAMES)]])
 

@@ -51,7 +51,7 @@ class Header:
     """The method that snaps."""
     interface: Interface
     shapes: bool = False
-    """Whether the user gives the shapes of the scene."""
+    """Whether shapes of the scene are known, by the user or the dataset."""
 
     def key(self) -> tuple[str, str]:
         """Events with the same belong to one session."""

@@ -38,6 +38,7 @@ from kit1000.errors import InputError, InternalError, shown
 from kit1000.files import check_writable, locked
 from kit1000.interrupts import wait_until_interrupted
 from kit1000.perception.sensor_facts import SensorFacts, sensor_of
+from kit1000.prediction.catalog import all_methods
 from kit1000.values import SceneShapes
 
 HOST = "127.0.0.1"
@@ -87,7 +88,8 @@ class Options:
 
     def header(self, dataset_id: str) -> Header:
         """The header of the log."""
-        known = self.shapes is not None
+        method = all_methods().get(self.snap)
+        known = self.shapes is not None or (method is not None and method.reads == "shapes")
         return Header(dataset_id, self.scene, self.sensor, self.truth, self.snap, self.interface, known)
 
 

@@ -20,7 +20,7 @@ import viser
 import websockets.asyncio.server
 
 from kit1000.dataset.reader import Dataset
-from kit1000.editor.serve import HOST, serving
+from kit1000.editor.serve import HOST, Options, serving
 from kit1000.errors import InputError, InternalError
 from tests.samples.handshakes import shake
 
@@ -173,3 +173,11 @@ def test_an_origin_that_is_named_is_let_in_and_no_other() -> None:
         assert shake(port, f"http://localhost:{port}") == 101
         assert shake(port, "http://localhost:9001") == 403
         assert TUNNEL in page(port, False).decode()
+
+
+def test_a_method_that_reads_shapes_makes_a_session_with_shapes() -> None:
+    known = {
+        snap: Options(Path(), "s", Path(), snap=snap).header("d").shapes for snap in ("registration", "a:b", "none")
+    }
+    assert not any(known.values())
+    assert Options(Path(), "s", Path(), snap="registration-known").header("d").shapes
