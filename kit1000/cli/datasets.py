@@ -173,16 +173,16 @@ class Verify:
 
 @dataclass(frozen=True)
 class Export:
-    """Write assemblies as URDF with open cavities, STL or 3MF in mm; or scenes in the BOP format or as MCAP."""
+    """Write assemblies as URDF with open cavities, STL or 3MF in mm; or scenes as MJCF, BOP or MCAP."""
 
     data: Folder
     """Dataset folder."""
     out: Path
     """Folder to write to."""
-    format: Literal["bop", "urdf", "stl", "3mf", "mcap"] = "urdf"
+    format: Literal["bop", "mjcf", "urdf", "stl", "3mf", "mcap"] = "urdf"
     """Format to write; mcap is a recording of each scene for 3D viewers."""
     ids: tuple[str, ...] = ()
-    """Ids of the assemblies, or of the scenes for bop and mcap. Default: all; mcap needs ids."""
+    """Ids of the assemblies, or of the scenes for bop, mjcf and mcap. Default: all; mcap needs ids."""
     split: Literal["train", "val", "test"] | None = None
     """Split to export. Default: all of them."""
     sensor: Sensor = "ideal"

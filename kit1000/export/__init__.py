@@ -1,4 +1,4 @@
-"""Export of a dataset to other formats: assemblies as URDF, STL or 3MF, scenes in the BOP format; kits of own parts."""
+"""Export of a dataset: assemblies as URDF, STL or 3MF, scenes as MJCF or in the BOP format; kits of own parts."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.values import Kit, Part
 
-FORMATS = ("urdf", "stl", "3mf", "bop")
+FORMATS = ("urdf", "stl", "3mf", "mjcf", "bop")
 
 
 def export(
@@ -23,9 +23,10 @@ def export(
     Args:
         data: dataset folder.
         format: one of FORMATS.
-        out: folder to write to. bop: must not exist. urdf: gets a folder for each assembly. stl, 3mf: gets a file for
-            each assembly, `ID.stl`, and for each of their parts, `part-ID.stl`, as a printer needs them.
-        ids: ids of assemblies, or of scenes for bop; all of the split when empty.
+        out: folder to write to. bop: must not exist. urdf: gets a folder for each assembly. mjcf: gets one for each
+            scene. stl, 3mf: gets a file for each assembly, `ID.stl`, and for each of their parts, `part-ID.stl`, as a
+            printer needs them.
+        ids: ids of assemblies, or of scenes for bop and mjcf; all of the split when empty.
         split: train, val or test; all of them when None.
         sensor: sensor of the depth images for bop: ideal, d415 or photoneo.
 
@@ -35,11 +36,13 @@ def export(
     # Writers are imported when they are needed: a kit for an own part, which is in this package too, needs few of them.
     if format not in FORMATS:
         raise InputError(f"no export format {format!r}; there are {', '.join(FORMATS)}")
-    if format == "bop":
+    if format in ("bop", "mjcf"):
         from kit1000.dataset.reader import Dataset
         from kit1000.export.bop import write_bop
+        from kit1000.export.mjcf import write_mjcf
 
-        return write_bop(Dataset(data), out, ids, split, sensor)
+        dataset = Dataset(data)
+        return write_mjcf(dataset, out, ids, split) if format == "mjcf" else write_bop(dataset, out, ids, split, sensor)
     from kit1000.dataset.geometry import Geometry
     from kit1000.export.urdf import write_urdf
 

@@ -80,7 +80,7 @@ def write_bop(
     """
     if sensor not in SENSORS:
         raise InputError(f"no sensor {sensor!r}; there are {', '.join(SENSORS)}")
-    scenes = _chosen(dataset, ids, split)
+    scenes = chosen_scenes(dataset, ids, split)
     numbers = object_numbers(dataset.geometry)
     with new_folder(folder, "BOP dataset") as out:
         used: set[tuple[str, str]] = set()
@@ -102,7 +102,7 @@ def write_bop(
     return folder
 
 
-def _chosen(dataset: Dataset, ids: Sequence[str], split: str | None) -> dict[str, list[tuple[int, str]]]:
+def chosen_scenes(dataset: Dataset, ids: Sequence[str], split: str | None) -> dict[str, list[tuple[int, str]]]:
     """The scenes to write by split, each with its number, which is its index in the split."""
     if split is not None and split not in SPLITS:
         raise InputError(f"no split {split!r} to export; there are {', '.join(SPLITS)}")

@@ -46,13 +46,13 @@ def roll_pitch_yaw(pose: Pose) -> np.ndarray:
 
 
 def _write_files(assembly: Assembly, folder: Path) -> None:
-    (folder / VISUAL).write_text(_obj(assembly.mesh), encoding="ascii")
+    (folder / VISUAL).write_text(obj_text(assembly.mesh), encoding="ascii")
     lines = ['<?xml version="1.0"?>', f"<robot name={quoteattr(assembly.id)}>", '<link name="assembly">']
     lines += [*_inertial(assembly.mesh), *_shape("visual", Pose.identity(), VISUAL)]
     for name, pose, piece in _pieces(assembly):
         path = folder / name
         path.parent.mkdir(exist_ok=True)
-        path.write_text(_obj(piece), encoding="ascii")
+        path.write_text(obj_text(piece), encoding="ascii")
         lines += _shape("collision", pose, name)
     lines += ["</link>", "</robot>"]
     (folder / URDF).write_text("\n".join(lines) + "\n", encoding="utf-8")
@@ -74,7 +74,7 @@ def _inertial(mesh: Mesh) -> list[str]:
     entries = " ".join(f'i{"xyz"[i]}{"xyz"[j]}="{float(tensor[i, j])!r}"' for i, j in pairs)
     return [
         "<inertial>",
-        f'<origin xyz="{_numbers(mesh.centroid)}" rpy="0 0 0"/>',
+        f'<origin xyz="{numbers(mesh.centroid)}" rpy="0 0 0"/>',
         f'<mass value="{mass!r}"/>',
         f"<inertia {entries}/>",
         "</inertial>",
@@ -84,7 +84,7 @@ def _inertial(mesh: Mesh) -> list[str]:
 def _shape(element: str, pose: Pose, file_name: str) -> list[str]:
     return [
         f"<{element}>",
-        f'<origin xyz="{_numbers(pose.xyz)}" rpy="{_numbers(roll_pitch_yaw(pose))}"/>',
+        f'<origin xyz="{numbers(pose.xyz)}" rpy="{numbers(roll_pitch_yaw(pose))}"/>',
         "<geometry>",
         f'<mesh filename="{file_name}"/>',
         "</geometry>",
@@ -92,13 +92,13 @@ def _shape(element: str, pose: Pose, file_name: str) -> list[str]:
     ]
 
 
-def _obj(mesh: Mesh) -> str:
+def obj_text(mesh: Mesh) -> str:
     """A mesh as OBJ text, its coordinates in full precision."""
-    rows = [f"v {_numbers(vertex)}" for vertex in mesh.vertices]
+    rows = [f"v {numbers(vertex)}" for vertex in mesh.vertices]
     rows += [f"f {a} {b} {c}" for a, b, c in (mesh.faces + 1).tolist()]
     return "\n".join(rows) + "\n"
 
 
-def _numbers(values: np.ndarray) -> str:
+def numbers(values: np.ndarray) -> str:
     """Numbers in full precision, separated by spaces."""
     return " ".join(map(repr, values.tolist()))

@@ -25,6 +25,7 @@ MIN_LEDGE_AREA = 1e-6  # [m^2] smaller level faces count as slopes
 LEDGE_SPACING = 20e-6  # [m] ledges closer than this count as one
 GRID = 1e-8  # [m] sections snap to a grid of some 4 nm
 MIN_POLYGON_AREA = 1e-8  # [m^2] smaller polygons are dropped: engines refuse such slivers
+REACH = 5e-3  # [m] by which overlapping prisms extend below others
 MITER_LIMIT = 2.0  # offset corners sharper than 60 degrees are cut off
 
 
@@ -42,6 +43,29 @@ def convex_prisms(kit: Kit, tolerance: float = TOLERANCE) -> list[Mesh]:
     return [mesh_from_solid(piece) for piece in pieces]
 
 
+def overlapping_prisms(kit: Kit, tolerance: float = TOLERANCE) -> list[np.ndarray]:
+    """Corners (n, 3) [m] of fewer convex prisms, all of which stand on the plate's underside and may overlap.
+
+    Upright walls protrude by about `tolerance` [m] at most, so what touches a prism is inside the cavity.
+    """
+    low, high = kit.mesh.bounds
+    cavity = Manifold.cube(high - low).translate(low) - solid_from_mesh(kit.mesh)
+    floor = cavity.bounding_box()[2]
+    plate = CrossSection.square(high[:2] - low[:2]).translate(low[:2])
+    sections = [(floor, plate)]
+    for layer in _layers(cavity, floor, float(high[2]), tolerance):
+        sections.append((layer.high, plate - _inner_outline(layer.shadow, tolerance)))
+    covered, prisms = CrossSection(), []
+    for top, section in sorted(sections, key=lambda pair: -pair[0]):
+        new = (section - covered).offset(-tolerance / 4, JoinType.Miter, MITER_LIMIT)
+        near = new.offset(REACH, JoinType.Miter, MITER_LIMIT) ^ section
+        for polygon in convex_polygons(near):
+            if not (CrossSection([polygon]) ^ new).is_empty():
+                prisms.append(_prism_corners(polygon, float(low[2]), top))
+        covered += near
+    return prisms
+
+
 def enclosing_prisms(mesh: Mesh, tolerance: float = TOLERANCE, fine_height: float = np.inf) -> list[np.ndarray]:
     """Corners (n, 3) [m] of convex prisms along z that contain a closed mesh and exceed it by about `tolerance` [m].
 
@@ -51,7 +75,7 @@ def enclosing_prisms(mesh: Mesh, tolerance: float = TOLERANCE, fine_height: floa
     solid = solid_from_mesh(mesh)
     low, high = map(float, mesh.bounds[:, 2])
     return [
-        np.concatenate([np.column_stack([polygon, np.full(len(polygon), z)]) for z in (layer.low, layer.high)])
+        _prism_corners(polygon, layer.low, layer.high)
         for layer in _layers(solid, low, high, tolerance, MAX_PART_LAYERS, 2 * LEDGE_OFFSET, low + fine_height)
         for polygon in convex_polygons(_outer_outline(layer.shadow, tolerance / 2))
     ]
@@ -148,10 +172,22 @@ def _ledges(cavity: Manifold, floor: float, rim: float) -> list[float]:
 
 def _outer_outline(shadow: CrossSection, tolerance: float) -> CrossSection:
     """A polygon of few corners that contains a shadow and exceeds it by about 2 tolerances [m] at most."""
-    few = [contour[_simplified_indices(contour, tolerance)] for contour in shadow.to_polygons()]
-    outline = CrossSection([contour for contour in few if len(contour) > 2], FillRule.Positive)
     # slots narrower than the tolerance may have collapsed, so the shadow itself is added
-    return outline.offset(tolerance + GRID, JoinType.Miter, MITER_LIMIT) + shadow
+    return _few_corners(shadow, tolerance).offset(tolerance + GRID, JoinType.Miter, MITER_LIMIT) + shadow
+
+
+def _inner_outline(shadow: CrossSection, tolerance: float) -> CrossSection:
+    """An area inside a shadow, which exceeds it by a tolerance [m] at most and has few corners at walls that are hollow.
+
+    At bulging walls, which are convex pieces, it has all corners.
+    """
+    return _few_corners(shadow, tolerance) ^ shadow.simplify(tolerance / 10)
+
+
+def _few_corners(shadow: CrossSection, tolerance: float) -> CrossSection:
+    """A shadow simplified to a tolerance [m]."""
+    few = [contour[_simplified_indices(contour, tolerance)] for contour in shadow.to_polygons()]
+    return CrossSection([contour for contour in few if len(contour) > 2], FillRule.Positive)
 
 
 def _simplified_indices(contour: np.ndarray, tolerance: float) -> np.ndarray:
@@ -185,8 +221,11 @@ def _area(polygon: np.ndarray) -> float:
 
 
 def _prism(polygon: np.ndarray, low: float, high: float) -> Manifold:
-    ends = [np.column_stack([polygon, np.full(len(polygon), z)]) for z in (low, high)]
-    return convex_hull(np.concatenate(ends))
+    return convex_hull(_prism_corners(polygon, low, high))
+
+
+def _prism_corners(polygon: np.ndarray, low: float, high: float) -> np.ndarray:
+    return np.concatenate([np.column_stack([polygon, np.full(len(polygon), z)]) for z in (low, high)])
 
 
 def _edges(loop: list[int]) -> list[tuple[int, int]]:
