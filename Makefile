@@ -39,12 +39,14 @@ PIP  = $(BIN)/python -m pip --disable-pip-version-check --quiet
 VIEWERS = .viewers
 RERUN_VIEWER = $(VIEWERS)/bin/rerun
 RERUN_SDK = rerun-sdk==0.41.0 # outside the lock, in an environment of its own: it is large and brings pyarrow along
+ENGINE = $(VIEWERS)/mujoco
+MUJOCO = mujoco==4.0.0 # likewise
 LOCK = $(BIN)/uv pip compile pyproject.toml --group pyproject.toml:build --universal --python-version 3.10 \
        --generate-hashes --quiet $(if $(UPGRADE),--upgrade) --custom-compile-command "make lock"
 
 .DEFAULT_GOAL = help
 .DELETE_ON_ERROR:
-.PHONY: help install browser dataset test test-slow check lint site wheel results table1 table2 bench portable mutants viewers slicer pictures lock clean
+.PHONY: help install browser dataset test test-slow check lint site wheel results table1 table2 bench portable mutants viewers slicer mujoco pictures lock clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
@@ -126,6 +128,9 @@ slicer: $(DEV) ## give kits and assemblies of DATA, else of tiny, to PrusaSlicer
 	@$(call debian,command -v prusa-slicer,prusa-slicer)
 	$(BIN)/python bench/outside/slicer.py --out $(VIEWERS)/out --data "$(DATA)" $(if $(BOP),--bop "$(BOP)")
 
+mujoco: $(ENGINE)/.installed ## insert parts of DATA, else of tiny, in MuJoCo; OUT=results writes what it measures
+	$(ENGINE)/bin/python bench/outside/mujoco_scenes.py $(MEASURED) $(if $(OUT),--out "$(OUT)/mujoco.json")
+
 pictures: $(DEV) ## draw the pictures of the README and the docs
 	$(BIN)/python docs/pictures/draw.py
 	$(BIN)/python docs/pictures/sensors.py
@@ -162,6 +167,13 @@ $(RERUN_VIEWER): $(RUN)
 	@echo "installing Rerun into $(VIEWERS)" >&2
 	@rm -rf $(VIEWERS)/bin && $(BIN)/python -m venv $(VIEWERS)
 	@$(VIEWERS)/bin/python -m pip --disable-pip-version-check --quiet install $(RERUN_SDK)
+
+$(ENGINE)/.installed: pyproject.toml requirements/run.txt
+	@echo "installing MuJoCo into $(ENGINE)" >&2
+	@sh requirements/environment.sh "$(ENGINE)" "$(PYTHON)"
+	@sh requirements/install.sh "$(ENGINE)/bin/python"
+	@$(ENGINE)/bin/python -m pip --disable-pip-version-check --quiet install $(MUJOCO)
+	@touch $@
 
 # Without a browser the tests of the pages are skipped and say so: it is no reason to stop.
 SUDO = $(shell [ "$$(id -u)" = 0 ] || echo sudo -n)

@@ -177,7 +177,7 @@ def _outer_outline(shadow: CrossSection, tolerance: float) -> CrossSection:
 
 
 def _inner_outline(shadow: CrossSection, tolerance: float) -> CrossSection:
-    """An area inside a shadow, which exceeds it by a tolerance [m] at most and has few corners at walls that are hollow.
+    """An area inside a shadow, which exceeds it by a tolerance [m] at most and has few corners at hollow walls.
 
     At bulging walls, which are convex pieces, it has all corners.
     """

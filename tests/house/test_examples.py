@@ -20,7 +20,7 @@ from tests.samples.mini import l_shape, write_stl
 SCRIPTS = sorted((ROOT / "examples").glob("*.py"))
 LONGEST = 75
 """Lines of a script."""
-PUBLIC = ("kit1000", "kit1000.dataset.torch", "kit1000.parts", "kit1000.testing", "kit1000.voxels")
+PUBLIC = ("kit1000", "kit1000.dataset.torch", "kit1000.export", "kit1000.gym", "kit1000.parts", "kit1000.testing", "kit1000.voxels")
 """Where a script may import names of the library from; the applications are public as a whole."""
 
 
@@ -79,6 +79,18 @@ def test_a_kit_is_made_for_an_stl_file(tmp_path: Path, capsys: pytest.CaptureFix
 def test_an_extension_passes_its_check(name: str, tiny: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run(name, *(["tiny"] if name != "own_family" else []))
     assert capsys.readouterr().out
+
+
+def test_an_environment_scores_the_true_motion(tiny: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("gymnasium")
+    run("gym_snap", "tiny", "--episodes", "1")
+    assert re.search(r"truth: reward 1, 0\.0 mm off", capsys.readouterr().out)
+
+
+def test_a_scene_settles_in_mujoco(tiny: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("mujoco")
+    run("mujoco_scene", "tiny")
+    assert re.search(r"parts moved by 0\.\d+ mm", capsys.readouterr().out)
 
 
 def imported(script: Path) -> set[str]:
