@@ -35,10 +35,10 @@ class Options:
 
 
 def read(dataset: Dataset, name: str) -> int:
-    """Read a query from its files, as an observation has it."""
+    """Read a query from its files and copy its depth, as an observation has it and a tensor needs it."""
     scene = dataset.split("test").scene("-".join(name.split("-")[:2]))
     query = next(query for query in scene.queries if query.id == name)
-    return query.view.depth.size + query.part_mask.size + query.kit_region.size
+    return query.view.depth.copy().size + query.part_mask.size + query.kit_region.size
 
 
 def milliseconds(env: AssemblyEnv, dataset: Dataset, names: list[str]) -> tuple[list[float], list[float]]:
