@@ -16,7 +16,9 @@ from kit1000 import Dataset
 from kit1000.export import export
 
 
-def main(data: tyro.conf.Positional[Path] = Path("tiny"), out: Path = Path("mjcf"), picture: Path | None = None) -> None:
+def main(
+    data: tyro.conf.Positional[Path] = Path("tiny"), out: Path = Path("mjcf"), picture: Path | None = None
+) -> None:
     """Export and simulate.
 
     Args:

@@ -213,7 +213,7 @@ def _placed(pose: Pose) -> dict[str, str]:
 
 
 def _add(
-    parent: ElementTree.Element, tag: str, named: dict[str, str] | None = None, **attributes: str | float
+    parent: ElementTree.Element, tag: str, named: dict[str, str] | None = None, /, **attributes: str | float
 ) -> ElementTree.Element:
     """A new child. named: attributes whose names are words of Python."""
     return ElementTree.SubElement(parent, tag, (named or {}) | {name: str(each) for name, each in attributes.items()})

@@ -20,7 +20,15 @@ from tests.samples.mini import l_shape, write_stl
 SCRIPTS = sorted((ROOT / "examples").glob("*.py"))
 LONGEST = 75
 """Lines of a script."""
-PUBLIC = ("kit1000", "kit1000.dataset.torch", "kit1000.export", "kit1000.gym", "kit1000.parts", "kit1000.testing", "kit1000.voxels")
+PUBLIC = (
+    "kit1000",
+    "kit1000.dataset.torch",
+    "kit1000.export",
+    "kit1000.gym",
+    "kit1000.parts",
+    "kit1000.testing",
+    "kit1000.voxels",
+)
 """Where a script may import names of the library from; the applications are public as a whole."""
 
 
