@@ -1,6 +1,6 @@
 """python examples/gym_snap.py tiny
 
-Scores the guess and the true motion of a few queries in an environment of gymnasium. Needs `pip install 'kit1000[gym]'`.
+Scores the guess and the true motion of a few queries in an environment of gymnasium (extra `gym`).
 """
 
 from __future__ import annotations
