@@ -20,12 +20,13 @@ import tyro
 from tqdm import tqdm
 
 from bench.measured import run, timed
-from benchmark.measurements import Column, Measurement, estimate
+from benchmark.measurements import Column, Measurement, estimate, rate
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.known_shapes.known_kits import KITS
 from kit1000.known_shapes.registration import RegisteredBody, RegisteredScene, register_scene
 from kit1000.known_shapes.shapes import KnownShape, ShapeDistance
 from kit1000.mesh import Mesh
+from kit1000.metrics import seatings
 from kit1000.perception.segmentation.instances import segmented
 from kit1000.perception.segmentation.predicted_masks import mask_networks
 from kit1000.perception.sensor_facts import sensor_of, simulated_sensor
@@ -53,6 +54,13 @@ SURE = (
     Column("sure_off", "certain and over 2 mm off"),
     Column("worst", "worst of the certain, mm", 2),
     Column("wrong", "over 2 mm off"),
+)
+SEATED = (
+    Column("what", "motions by"),
+    Column("n", "n"),
+    Column("seated", "seated, %", 1, True),
+    Column("sure", "certain"),
+    Column("sure_seated", "seated of these"),
 )
 SCALE = (
     Column("n", "scenes"),
@@ -131,6 +139,8 @@ def scene_rows(recorded: RecordedScene, image: LabelledDepth) -> Iterator[Row]:
         relative = float(np.linalg.norm(seen - true_kits.inverse().apply(true.apply(middle))))
         distance = float(np.linalg.norm(true.xyz))
         motion = float(np.linalg.norm(true.xyz - true_kits.xyz))
+        if body.name != KITS:
+            row |= _seated(recorded, names[body.name], found, body, true_scale)
         yield row | {
             "scene": recorded.id,
             "relative": relative * MM,
@@ -156,6 +166,31 @@ def _body_row(body: RegisteredBody, found: RegisteredScene, mesh: Mesh, true: Po
         "surface": surface * MM,
         "sure": not doubts,
         "doubts": list(doubts),
+    }
+
+
+def _seated(recorded: RecordedScene, index: int, found: RegisteredScene, body: RegisteredBody, scale: float) -> Row:
+    """Whether the motions from the part's pose to its goal in the kits are seated, by the scale found and the true one.
+
+    Empty if the part has no query.
+    """
+    query = next((each for each in recorded.queries if each.part == index), None)
+    if query is None:
+        return {}
+    part_id, kits = recorded.scene.bodies[1 + index].id, found.bodies[0]
+    mounts = recorded.split.dataset.geometry.assembly(recorded.scene.bodies[0].id).mounts
+    mount = next(mount for mount in mounts if mount.kit.slot.part_id == part_id)
+    goal = mount.assembly_from_kit @ mount.kit.slot.kit_from_part
+    world_from_camera, motions = recorded.view("ideal").world_from_camera, []
+    for by in (found.scale, scale):
+        moved = kits.standing.camera_from_body(by) @ goal @ body.standing.camera_from_body(by).inverse()
+        motions.append(world_from_camera @ moved @ world_from_camera.inverse())
+    truth = recorded.truth_of(query.id)
+    both = seatings(Pose.stack(motions), [truth, truth], recorded.split.dataset.geometry).seated
+    return {
+        "seated": bool(both[0]),
+        "seated_true_scale": bool(both[1]),
+        "sure_motion": not (found.doubts(body) or found.doubts(kits)),
     }
 
 
@@ -196,6 +231,12 @@ def add_tables(measurement: Measurement, rows: Sequence[Row], setting: str) -> N
             what=what, n=len(own), sure=int(passed.sum()), sure_off=int((passed & off).sum()), worst=worst,
             wrong=int(off.sum()),
         )  # fmt: skip
+    tried = [row for row in rows if "seated" in row]
+    seated = measurement.table("seated", f"Parts seated by the poses of part and kits; {setting}", *SEATED)
+    for what, key in (("poses found", "seated"), ("the same with the true depth scale", "seated_true_scale")):
+        won, certain = (np.array([row[name] for row in tried], bool) for name in (key, "sure_motion"))
+        certain_won = int((certain & won).sum())
+        seated.add(what=what, n=len(won), seated=rate(won), sure=int(certain.sum()), sure_seated=certain_won)
     scale = measurement.table("scale", f"The depth scale of the camera; {setting}", *SCALE)
     parts = [row for row in rows if row["what"] == "part"]
     true, left = (np.abs([row[key] for row in parts]) for key in ("scale_true", "scale_left"))

@@ -13,7 +13,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import binary_dilation, uniform_filter
+from scipy.ndimage import maximum_filter, uniform_filter
 
 from kit1000.camera import Camera
 from kit1000.known_shapes.shapes import StandingShape
@@ -30,6 +30,8 @@ RAMP_HALF = 4.0  # [px] half the width of a ramp
 SHARP = 3  # [px] side of a window in which a pixel of a sharp image may show either side of an edge
 LEAST_NOISE, LEAST_BEND = 0.05, 0.03  # [px]
 SEEN = 12  # [px] about a shape, of the pixels that tell where it is
+CORRELATED = 30.0  # pixels whose errors are as one: windows of a stereo matcher
+SLOW_ROUNDS = 2  # of reweighting
 REACH = 6.0  # standard deviations beyond which a pixel counts as unexplained
 MARGIN = 15  # [px] of a window about a shape
 
@@ -46,6 +48,11 @@ class Box(NamedTuple):
     def window(self) -> tuple[slice, slice]:
         """The pixels."""
         return slice(self.top, self.bottom), slice(self.left, self.right)
+
+    def contains(self, other: Box) -> bool:
+        """Whether all pixels of another box are in this one."""
+        rows = self.top <= other.top and other.bottom <= self.bottom
+        return rows and self.left <= other.left and other.right <= self.right
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,23 +103,34 @@ class DisparityImage:
         slope = normal[0] * u[None] / camera.fx + normal[1] * v[:, None] / camera.fy + normal[2]
         return self.gain * slope / self.support.offset
 
-    def box(self, shape: StandingShape) -> Box:
-        """The window about a shape."""
-        corners = shape.camera_from_body().apply(shape.shape.mesh.vertices)
+    def box(self, shape: StandingShape, margin: int = MARGIN) -> Box:
+        """The window about a shape, with a margin [px]."""
+        corners = shape.camera_from_body().apply(shape.shape.corners)
         uv, (height, width) = self.camera.project(corners), self.measured.shape
-        (left, top), (right, bottom) = np.floor(uv.min(0)).astype(int) - MARGIN, np.ceil(uv.max(0)).astype(int) + MARGIN
+        (left, top), (right, bottom) = np.floor(uv.min(0)).astype(int) - margin, np.ceil(uv.max(0)).astype(int) + margin
         clip = (top, bottom + 1, left, right + 1), (height, height, width, width)
         return Box(*(int(np.clip(end, 0, most)) for end, most in zip(*clip, strict=True)))
 
-    def rendered(self, shapes: Sequence[StandingShape], box: Box, scale: float) -> tuple[np.ndarray, np.ndarray]:
-        """(h, w) [px] exact disparities of shapes and table in a window, and (h, w) bool: where the first shape is."""
+    def window(
+        self, shape: StandingShape, others: Sequence[StandingShape] = (), scale: float = 1.0, room: int = 0
+    ) -> Window:
+        """The window about a shape, with the table and other shapes behind it.
+
+        scale: measured over true depth; room: [px] on all sides, for the shape to move.
+        """
+        box = self.box(shape, MARGIN + room)
+        rest = self.table[box.window]
+        if others:
+            rest = np.maximum(rest, self.rendered(others, box, scale))
+        return Window(self, box, rest, scale)
+
+    def rendered(self, shapes: Sequence[StandingShape], box: Box, scale: float) -> np.ndarray:
+        """(h, w) [px] exact disparities of shapes in a window; 0 where none is."""
         camera, (height, width) = self.camera, (box.bottom - box.top, box.right - box.left)
         window = Camera(width, height, camera.fx, camera.fy, camera.cx - box.left, camera.cy - box.top)
         bodies = [(each.shape.mesh, each.camera_from_body(scale)) for each in shapes]
-        image = render(window, Pose.identity(), bodies, threads=1)
-        depth = scale * image.depth.astype(float)
-        near = np.where(depth > 0, self.gain / np.where(depth > 0, depth, 1.0), 0.0)
-        return np.maximum(near, self.table[box.window]), image.body_ids == 1
+        depth = scale * render(window, Pose.identity(), bodies, threads=1).depth.astype(float)
+        return np.divide(self.gain, depth, out=np.zeros_like(depth), where=depth > 0)
 
     def expected(self, exact: np.ndarray, blur: int = SHARP) -> tuple[np.ndarray, np.ndarray]:
         """The mean and variance (h, w) of what the sensor makes of exact disparities (h, w) at their edges.
@@ -128,46 +146,74 @@ class DisparityImage:
             one = [np.full((1, 1), value, np.float32) for value in (share, jump, self.ramp)]
             wide = widened_edges(padded, one[0], one[1], size, self.extension)
             found.append(blended_ramps(wide, one[1], one[2], size)[1:-1, 1:-1])
-        several = np.stack(found).astype(float)
-        return several.mean(0), several.var(0)
+        several = np.stack(found)
+        mean = several.mean(0)
+        return mean, np.square(several - mean).mean(0)
 
-    def misfit(
-        self,
-        shape: StandingShape,
-        others: Sequence[StandingShape] = (),
-        scale: float = 1.0,
-        used: np.ndarray | None = None,
-    ) -> float:
-        """What a shape and those beside it leave unexplained about it: 0 for nothing, 1 for all pixels.
 
-        used: (H, W) bool, the pixels that are compared; all if None.
-        """
-        box = self.box(shape)
-        exact, inside = self.rendered([shape, *others], box, scale)
-        compared = self.compared(box, inside, used)
-        if not compared.any():
-            return 1.0
-        return float(self._unexplained(exact, box)[compared].mean())
+@dataclass(frozen=True, eq=False)
+class Window:
+    """A part of an image about a shape, in which the shape moves before the table and other shapes."""
 
-    def gain_of(
-        self, shape: StandingShape, others: Sequence[StandingShape] = (), used: np.ndarray | None = None
-    ) -> float:
-        """The number of pixels that a shape explains and that others and the table do not, less those that it spoils.
+    image: DisparityImage
+    box: Box
+    rest: np.ndarray
+    """(h, w) [px] exact disparities of the table and the other shapes."""
+    scale: float
+    """Measured over true depth."""
 
-        used: (H, W) bool, the pixels that are compared; all if None.
-        """
-        box = self.box(shape)
-        exact, inside = self.rendered([shape, *others], box, 1.0)
-        without = self.rendered(others, box, 1.0)[0] if others else self.table[box.window]
-        compared = self.compared(box, inside, used)
-        return float((self._unexplained(without, box) - self._unexplained(exact, box))[compared].sum())
+    @property
+    def measured(self) -> np.ndarray:
+        """(h, w) [px]; 0 for no return."""
+        return self.image.measured[self.box.window]
 
-    def _unexplained(self, exact: np.ndarray, box: Box) -> np.ndarray:
-        mean, variance = self.expected(exact)
-        square = np.square(self.measured[box.window] - mean) / (variance + self.noise**2 + self.bend**2)
-        return np.minimum(square / REACH**2, 1.0)
+    def exact(self, shape: StandingShape) -> tuple[np.ndarray, np.ndarray]:
+        """(h, w) [px] exact disparities with a shape, and (h, w) bool: where it is seen."""
+        near = self.image.rendered([shape], self.box, self.scale)
+        return np.maximum(near, self.rest), (near > 0) & (near >= self.rest)
 
-    def compared(self, box: Box, inside: np.ndarray, used: np.ndarray | None) -> np.ndarray:
+    def compared(self, inside: np.ndarray, used: np.ndarray | None = None) -> np.ndarray:
         """(h, w) bool: pixels with a return in and about a shape. inside: (h, w) bool, of the shape; used: (H, W)."""
-        compared = np.asarray(binary_dilation(inside, iterations=SEEN), bool) & (self.measured[box.window] > 0)
-        return compared if used is None else compared & used[box.window]
+        compared = (maximum_filter(inside, 2 * SEEN + 1) > 0) & (self.measured > 0)
+        return compared if used is None else compared & used[self.box.window]
+
+    def misfit(self, shape: StandingShape, used: np.ndarray | None = None) -> float:
+        """What all shapes leave unexplained about one of them: 0 for nothing, 1 for all pixels.
+
+        used: (H, W) bool, the pixels that are compared; all if None.
+        """
+        exact, inside = self.exact(shape)
+        compared = self.compared(inside, used)
+        return (
+            self._unexplained(*self.image.expected(exact), compared) / max(compared.sum(), 1) if compared.any() else 1.0
+        )
+
+    def gain(self, shape: StandingShape, used: np.ndarray | None = None) -> float:
+        """The number of pixels that a shape explains and that table and others do not, less those that it spoils.
+
+        used: (H, W) bool, the pixels that are compared; all if None.
+        """
+        exact, inside = self.exact(shape)
+        compared = self.compared(inside, used)
+        if not compared.any():
+            return 0.0
+        return self._unexplained(*self._without, compared) - self._unexplained(*self.image.expected(exact), compared)
+
+    @cached_property
+    def _without(self) -> tuple[np.ndarray, np.ndarray]:
+        return self.image.expected(self.rest)
+
+    def _unexplained(self, mean: np.ndarray, variance: np.ndarray, compared: np.ndarray) -> float:
+        """The pixels among some that are not explained, after the slow error that explains the most is taken away."""
+        image = self.image
+        residual, total = (self.measured - mean)[compared], variance[compared] + image.noise**2
+        v, u = np.nonzero(compared)
+        rows, columns = compared.shape
+        slow = np.stack([np.ones(len(v)), 2 * u / columns - 1, 2 * v / rows - 1])
+        amounts, prior = np.zeros(3), np.eye(3) / image.bend**2
+        for _ in range(SLOW_ROUNDS):
+            off = residual - amounts @ slow
+            weight = np.maximum(1 - off * off / (total * REACH**2), 0.0) ** 2 / (total * CORRELATED)
+            amounts = np.linalg.solve((slow * weight) @ slow.T + prior, (slow * weight) @ residual)
+        left = np.minimum(np.square(residual - amounts @ slow) / (total * REACH**2), 1.0).sum()
+        return float(left + CORRELATED / REACH**2 * (amounts @ prior @ amounts))

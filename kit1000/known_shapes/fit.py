@@ -11,12 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kit1000.known_shapes.disparity import SHARP, DisparityImage
+from kit1000.known_shapes.disparity import CORRELATED, SHARP, DisparityImage, Window
 from kit1000.known_shapes.shapes import StandingShape
 from kit1000.perception.calibration.table import tukey_weights
 
 STEP = 0.6e-3  # [m] by which a shape is moved for slopes: most of a pixel, so that edges of a render change
-CORRELATED = 30.0  # pixels whose errors are as one: windows of a stereo matcher
 LIMITS = np.array([4e-3, 4e-3, 0.12])  # [m], [m], [rad] of one step
 LEAST_STEP = np.array([3e-5, 3e-5, 3e-4])  # below which a shape has arrived
 COARSE, FINE = (15.0, 10.0, 8.0), (6.0, 5.0, 5.0)  # standard deviations of Tukey's weights, by round
@@ -80,27 +79,29 @@ def _equations(
     free_scale: bool,
 ) -> tuple[np.ndarray, np.ndarray]:
     """The normal matrix (7, 7) and gradient (7,): place, yaw, log scale, then offset and slopes of the slow error."""
-    box, blur = image.box(shape), SHARP if reach <= FINE[0] else FAR
+    window, blur = image.window(shape, others, scale), SHARP if reach <= FINE[0] else FAR
 
-    def expected(moved: StandingShape, by: float) -> np.ndarray:
-        return image.expected(image.rendered([moved, *others], box, by)[0], blur)[0]
+    def expected(moved: StandingShape, by: Window = window) -> np.ndarray:
+        return image.expected(by.exact(moved)[0], blur)[0]
 
-    exact, inside = image.rendered([shape, *others], box, scale)
+    exact, inside = window.exact(shape)
     mean, variance = image.expected(exact, blur)
     steps = STEP * np.array([1.0, 1.0, 1.5 / shape.radius])
-    slopes = [
-        (expected(shape.at(shape.place + move), scale) - expected(shape.at(shape.place - move), scale)) / (2 * step)
-        for move, step in zip(np.diag(steps), steps, strict=True)
-    ]
-    by = STEP / shape.radius
-    wider = (expected(shape, scale * (1 + by)) - expected(shape, scale * (1 - by))) / (2 * by) if free_scale else None
-    kept = image.compared(box, inside, used)
+    moves, far = np.diag(steps), reach > FINE[0]  # one-sided slopes take half the time and lead as far
+    less = [mean if far else expected(shape.at(shape.place - move)) for move in moves]
+    more = [expected(shape.at(shape.place + move)) for move in moves]
+    slopes = [(a - b) / (step if far else 2 * step) for a, b, step in zip(more, less, steps, strict=True)]
+    by, wider = STEP / shape.radius, None
+    if free_scale:
+        farther, nearer = (image.window(shape, others, scale * (1 + sign * by)) for sign in (1, -1))
+        wider = (expected(shape, farther) - expected(shape, nearer)) / (2 * by)
+    kept = window.compared(inside, used)
     v, u = np.nonzero(kept)
     rows, columns = kept.shape
     slow = np.stack([np.ones(len(v)), 2 * u / columns - 1, 2 * v / rows - 1])
     unknown = np.stack([*(slope[kept] for slope in slopes), np.zeros(len(v)) if wider is None else wider[kept], *slow])
     total = variance[kept] + image.noise**2
-    residual = image.measured[box.window][kept] - mean[kept]
+    residual = window.measured[kept] - mean[kept]
     weight = tukey_weights(residual, reach * np.sqrt(total)) / (total * CORRELATED)
     prior = np.array([0.0, 0.0, 0.0, 0.0 if free_scale else FIXED, *np.full(3, image.bend**-2)])
     return (unknown * weight) @ unknown.T + np.diag(prior), (unknown * weight) @ residual

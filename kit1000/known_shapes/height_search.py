@@ -10,14 +10,13 @@ heights (0 for cells without a return), T those of the shape and W the weight of
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.fft import irfft2, rfft2
-from scipy.fft import next_fast_len
+from scipy import fft
 from scipy.ndimage import binary_dilation, grey_dilation, maximum_filter
 
 from kit1000.camera import Camera
@@ -28,15 +27,14 @@ from kit1000.sim.render import render
 
 CELL = 4e-3  # [m]
 FLAT, HIGH, TALLEST = 2.5e-3, 6e-3, 0.25  # [m] heights of the table, of bodies at least and at most
-AROUND = 0.06  # [m] about all that is high
+AROUND, STRAY = 0.06, 0.2  # [m] about all that is high, but for [%] of it on every side
 MOST_CELLS = 300  # along a side of the table
 RIM, BESIDE = 0.4, 0.7  # weights of a cell that an extended edge may cover, and of cells beside the shape
 BESIDE_CELLS = 2
 ABOVE = 4e-3  # [m] over the top of a shape, from which on measured heights are cut off
 CAPS = np.array([12e-3, 18e-3, 26e-3, 36e-3, 50e-3, 70e-3, TALLEST])
 CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], bool)
-MARGIN = 40  # cells beyond the grid, so that a shape at one border does not reach the other
-PEAKS = 40  # highest cells of a score among which local maxima count
+AROUND_CELLS = 8  # about a mask or a shape, in which a part is searched
 SAME_SPOT, SAME_YAW = 10e-3, 0.35  # [m], [rad] within which two places of one face are one
 SPOT = 15e-3  # [m] within which places belong to one spot
 FAR_CAMERA = 20.0  # [m] over the table: rays are nearly parallel
@@ -49,10 +47,14 @@ class Place(NamedTuple):
     shape: StandingShape
 
 
-class _Template(NamedTuple):
+class Views(NamedTuple):
+    """A shape that stands on one of its faces, seen from above at several yaws."""
+
     level: Pose
-    yaw: float
-    heights: np.ndarray  # (a, b) [m], the origin of the shape in the middle cell
+    yaws: np.ndarray
+    """(k,) [rad]."""
+    heights: np.ndarray
+    """(k, a, b) [m] on cells along x and y, the origin of the shape in the middle cell; 0 where it is not."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,13 +78,14 @@ class HeightGrid:
         table, (v, u) = table_frame(image.support), np.nonzero(image.measured > 0)
         points = image.camera.unproject_pixels(np.stack([u, v], -1).astype(float), image.gain / image.measured[v, u])
         points, found = table.inverse().apply(points), labels[v, u]
-        low = points[:, 2] < TALLEST
-        points, found = points[low], found[low]
+        kept = points[:, 2] < TALLEST
+        points, found = points[kept], found[kept]
         high = points[points[:, 2] > HIGH, :2]
         if not len(high):
             return None
-        corner = np.percentile(high, 1, axis=0) - AROUND
-        count = np.ceil((np.percentile(high, 99, axis=0) + AROUND - corner) / CELL).astype(int).clip(1, MOST_CELLS)
+        low, far = np.percentile(high, STRAY, axis=0), np.percentile(high, 100 - STRAY, axis=0)
+        corner = low - AROUND
+        count = np.ceil((far + AROUND - corner) / CELL).astype(int).clip(1, MOST_CELLS)
         cells = np.floor((points[:, :2] - corner) / CELL).astype(int)
         inside = ((cells >= 0) & (cells < count)).all(1)
         order = np.flatnonzero(inside)[np.argsort(points[inside, 2], kind="stable")]  # the highest is written last
@@ -96,22 +99,27 @@ class HeightGrid:
         seen = self.seen.copy()
         for each in shapes:
             seen &= ~self.footprint(each)
-        return HeightGrid(self.corner, np.where(seen, self.heights, 0.0), seen, self.labels, self.table)
+        return replace(self, heights=np.where(seen, self.heights, 0.0), seen=seen)
 
-    def of_mask(self, label: int, margin: int) -> HeightGrid | None:
+    def of_mask(self, label: int) -> HeightGrid | None:
         """The part of the grid about a mask, in which other masks are not seen; None if the mask has no cell."""
-        cells = np.argwhere(self.labels == label)
-        if not len(cells):
+        seen = self.seen & np.isin(self.labels, (0, label))
+        alone = replace(self, heights=np.where(seen, self.heights, 0.0), seen=seen)
+        return alone.about(self.labels == label)
+
+    def about(self, cells: np.ndarray) -> HeightGrid | None:
+        """The part of the grid about some cells (a, b) bool; None if there are none."""
+        indices = np.argwhere(cells)
+        if not len(indices):
             return None
-        first = np.maximum(cells.min(0) - margin, 0)
-        window = tuple(slice(a, b) for a, b in zip(first, cells.max(0) + margin + 1, strict=True))
-        seen = self.seen[window] & np.isin(self.labels[window], (0, label))
-        heights = np.where(seen, self.heights[window], 0.0)
-        return HeightGrid(self.corner + first * CELL, heights, seen, self.labels[window], self.table)
+        first = np.maximum(indices.min(0) - AROUND_CELLS, 0)
+        window = tuple(slice(a, b) for a, b in zip(first, indices.max(0) + AROUND_CELLS + 1, strict=True))
+        corner = self.corner + first * CELL
+        return HeightGrid(corner, self.heights[window], self.seen[window], self.labels[window], self.table)
 
     def footprint(self, standing: StandingShape) -> np.ndarray:
         """(a, b) bool: the cells that a shape covers."""
-        heights = _heights_from_above(standing.shape, standing.level, float(standing.place[2]))
+        heights = _from_above(standing.shape, standing.level, standing.place[2:])[0]
         found = np.zeros(self.seen.shape, bool)
         cells = np.argwhere(heights > 0) - np.array(heights.shape) // 2
         cells += np.round((standing.place[:2] - self.corner) / CELL - 0.5).astype(int)
@@ -119,78 +127,96 @@ class HeightGrid:
         found[tuple(cells.T)] = True
         return found
 
-    @cached_property
-    def _size(self) -> tuple[int, int]:
-        rows, columns = (next_fast_len(count + 2 * MARGIN, real=True) for count in self.seen.shape)
-        return int(rows or 0), int(columns or 0)
-
-    @cached_property
-    def _transforms(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """For each of CAPS the transforms of the heights, cut off there, and of their squares."""
-        cut = (np.minimum(self.heights, cap) for cap in CAPS)
-        return [(rfft2(heights, self._size), rfft2(heights**2, self._size)) for heights in cut]
-
     def _scores(self, heights: np.ndarray) -> np.ndarray:
-        """(a, b) the score of a shape whose middle is at each cell. heights: (c, d) [m] of a template."""
-        size, index = self._size, int(np.searchsorted(CAPS[:-1], heights.max() + ABOVE))
-        seen, squares = self._transforms[index]
-        wide = grey_dilation(heights, footprint=CROSS)
-        weight = np.where(heights > 0, 1.0, np.where(wide > 0, RIM, 0.0))
-        weight[(weight == 0) & binary_dilation(wide > 0, iterations=BESIDE_CELLS)] = BESIDE
-        found = irfft2(2 * seen * np.conj(rfft2(weight * wide, size)) - squares * np.conj(rfft2(weight, size)), size)
-        found = np.roll(found, np.array(heights.shape) // 2, (0, 1)) / (weight * wide * wide).sum()
-        return found[: self.seen.shape[0], : self.seen.shape[1]]
+        """(k, a, b) the score of a shape whose middle is at each cell. heights: (k, c, d) [m] seen from above."""
+        needed = np.array(self.seen.shape) + np.array(heights.shape[1:]) // 2 + 1
+        size = tuple(int(fft.next_fast_len(count, real=True) or 0) for count in needed.tolist())
+        seen, squares = _transforms(self, size, int(np.searchsorted(CAPS[:-1], heights.max() + ABOVE)))
+        wide = grey_dilation(heights, footprint=CROSS[None])
+        weight = np.where(heights > 0, 1.0, np.where(wide > 0, RIM, 0.0)).astype(np.float32)
+        weight[(weight == 0) & binary_dilation(wide > 0, CROSS[None], iterations=BESIDE_CELLS)] = BESIDE
+        found = 2 * seen * np.conj(_transform(weight * wide, size)) - squares * np.conj(_transform(weight, size))
+        found = np.roll(np.asarray(fft.irfft2(found, size)), np.array(heights.shape[1:]) // 2, (1, 2))
+        total = (weight * wide * wide).sum((1, 2))
+        return found[:, : self.seen.shape[0], : self.seen.shape[1]] / total[:, None, None]
 
-    def places(self, shape: KnownShape, templates: Sequence[_Template], most: int, most_a_spot: int) -> list[Place]:
-        """The best places of a shape, the best first, with a limit for all and for each spot."""
+    def places(self, shape: KnownShape, views: Sequence[Views], most: int, a_spot: int, a_view: int) -> list[Place]:
+        """The best places of a shape, the best first, with a limit for all, for each spot and for each view."""
         found = []
-        for level, yaw, heights in templates:
-            if (np.array(heights.shape) > self._size).any():
-                continue
+        for k, (_, yaws, heights) in enumerate(views):
             scores = self._scores(heights)
-            for row, column in _peaks(scores):
-                x, y = self.corner + CELL * (np.array([row, column]) + 0.5)
-                place = StandingShape(shape, level, np.array([x, y, yaw]), self.table)
-                found.append(Place(float(scores[row, column]), place))
-        found.sort(key=lambda place: -place.score)
-        kept: list[Place] = []
-        for place in found:
-            at_spot = [each.shape for each in kept if apart(each.shape, place.shape) < SPOT]
-            if place.score <= 0 or len(kept) == most:
-                break
-            if len(at_spot) < most_a_spot and not any(_same(each, place.shape) for each in at_spot):
-                kept.append(place)
-        return kept
+            scores[scores < maximum_filter(scores, (1, 5, 5))] = 0
+            for yaw, each in zip(yaws, scores, strict=True):
+                cells = np.argsort(-each, axis=None)[:a_view]
+                row, column = np.unravel_index(cells, each.shape)
+                xy = self.corner + CELL * (np.stack([row, column], -1) + 0.5)
+                found.append(np.column_stack([each[row, column], np.full(len(cells), k), xy, np.full(len(cells), yaw)]))
+        every = np.concatenate(found)
+        every = every[every[:, 0] > 0]
+        best = _limited(every[np.argsort(-every[:, 0], kind="stable")], most, a_spot)
+        return [Place(row[0], StandingShape(shape, views[int(row[1])].level, row[2:], self.table)) for row in best]
 
 
-def _peaks(scores: np.ndarray) -> Iterator[tuple[int, int]]:
-    """The local maxima among the highest cells."""
-    many = min(PEAKS, scores.size)
-    highest = np.argpartition(scores.ravel(), -many)[-many:]
-    rows, columns = np.unravel_index(highest, scores.shape)
-    top = maximum_filter(scores, 5)[rows, columns] == scores[rows, columns]
-    yield from zip(rows[top].tolist(), columns[top].tolist(), strict=True)
+@lru_cache(maxsize=16)
+def _transforms(grid: HeightGrid, size: tuple[int, int], cap: int) -> tuple[np.ndarray, np.ndarray]:
+    """The transforms of the heights, cut off at one of CAPS, and of their squares."""
+    heights = np.minimum(grid.heights, CAPS[cap]).astype(np.float32)
+    return _transform(heights, size), _transform(heights**2, size)
+
+
+def _transform(heights: np.ndarray, size: tuple[int, ...]) -> np.ndarray:
+    return np.asarray(fft.rfft2(heights, size))
+
+
+def _limited(places: np.ndarray, most: int, a_spot: int) -> list[np.ndarray]:
+    """The first of rows (n, 5) of score, face, x, y and yaw, with a limit for all and for each spot."""
+    kept: list[np.ndarray] = []
+    spots, counts = np.empty((0, 2)), np.empty(0, int)
+    for row in places:
+        if len(kept) == most:
+            break
+        near = np.flatnonzero(np.hypot(*(spots - row[2:4]).T) < SPOT)
+        if not len(near):
+            spots, counts = np.vstack([spots, row[2:4]]), np.append(counts, 1)
+        elif counts[near[0]] == a_spot:
+            continue
+        else:
+            counts[near[0]] += 1
+        kept.append(row)
+    return kept
+
+
+def distinct(places: Sequence[Place], most: int) -> list[Place]:
+    """The first of some places that are not the same."""
+    kept: list[Place] = []
+    for place in places:
+        if len(kept) == most:
+            break
+        if not any(_same(each.shape, place.shape) for each in kept):
+            kept.append(place)
+    return kept
 
 
 def _same(a: StandingShape, b: StandingShape) -> bool:
-    turn = abs((a.place[2] - b.place[2] + np.pi) % (2 * np.pi) - np.pi)
-    return a.level is b.level and turn < SAME_YAW and apart(a, b) < SAME_SPOT
+    rotation = abs((a.place[2] - b.place[2] + np.pi) % (2 * np.pi) - np.pi)
+    return a.level is b.level and rotation < SAME_YAW and apart(a, b) < SAME_SPOT
 
 
-def templates(shape: KnownShape, yaws: int) -> list[_Template]:
-    """The heights of a shape with each face down at each of some yaws."""
+@lru_cache(maxsize=64)
+def views_from_above(shape: KnownShape, yaws: int) -> list[Views]:
+    """A shape seen from above with each of its faces down, at each of some yaws."""
     angles = np.arange(yaws) * (2 * np.pi / yaws)
-    return [_Template(level, yaw, _heights_from_above(shape, level, yaw)) for level in shape.levels for yaw in angles]
+    return [Views(level, angles, _from_above(shape, level, angles)) for level in shape.levels]
 
 
-def _heights_from_above(shape: KnownShape, level: Pose, yaw: float) -> np.ndarray:
-    """(a, b) [m] top heights of a shape on cells along x and y, with a margin; 0 where it is not."""
-    pose = Pose.from_rotvec((0.0, 0.0, yaw)) @ level
-    reach = np.abs(pose.apply(shape.mesh.vertices)[:, :2]).max(0)
-    rows, columns = (2 * np.ceil(reach / CELL).astype(int) + 5 + 2 * BESIDE_CELLS).tolist()
+def _from_above(shape: KnownShape, level: Pose, yaws: np.ndarray) -> np.ndarray:
+    """(k, a, a) [m] top heights of a shape at yaws (k,) on cells along x and y, with a margin; 0 where it is not."""
+    reach = np.hypot(*level.apply(shape.mesh.vertices)[:, :2].T).max()
+    side = int(2 * np.ceil(reach / CELL) + 5 + 2 * BESIDE_CELLS)
     focal = FAR_CAMERA / CELL
-    camera = Camera(columns, rows, focal, focal, (columns - 1) / 2, (rows - 1) / 2)
+    camera = Camera(side, side, focal, focal, (side - 1) / 2, (side - 1) / 2)
     down = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # rows along x, columns along y
     eye = Pose.from_rotation_matrix(down, np.array([0.0, 0.0, FAR_CAMERA]))
-    depth = render(camera, eye, [(shape.mesh, pose)], threads=1).depth.astype(float)
-    return np.where(depth > 0, FAR_CAMERA - depth, 0.0)
+    poses = (Pose.from_rotvec((0.0, 0.0, yaw)) @ level for yaw in yaws)
+    depth = np.stack([render(camera, eye, [(shape.mesh, pose)], threads=1).depth for pose in poses])
+    return np.where(depth > 0, np.float32(FAR_CAMERA) - depth, np.float32(0))

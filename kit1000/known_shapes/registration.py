@@ -10,38 +10,53 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import binary_dilation
 from scipy.optimize import linear_sum_assignment
 
 from kit1000.errors import InputError
-from kit1000.known_shapes.disparity import DisparityImage
+from kit1000.known_shapes.disparity import DisparityImage, Window
 from kit1000.known_shapes.fit import COARSE, FINE, fit
-from kit1000.known_shapes.height_search import HeightGrid, Place, templates
+from kit1000.known_shapes.height_search import HeightGrid, Place, Views, distinct, views_from_above
 from kit1000.known_shapes.shapes import KnownShape, ShapeDistance, StandingShape, apart, neighbours
 from kit1000.known_shapes.support import Support, seen_support
 from kit1000.perception.sensor_facts import SensorFacts
 from kit1000.pose import Pose
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth
 
-KIT_YAWS, PART_YAWS = 72, 24
-KIT_PLACES, PART_PLACES = 6, 6  # that are refined, of the kits, and of a part over a mask
-SCREENED = 24  # places of a part over a mask that are compared as they are
-MASK_CELLS = 8  # about a mask, in which a part is searched
-WORSE_SCORE = 0.25  # below its best score elsewhere a part is not refined over a mask
-RIVALS, SPOT = 6, 25e-3  # of a part that are compared beside all other bodies, and [m] from it
+KIT_YAWS, FEWEST_YAWS, YAW_STEP = 72, 16, 6e-3  # of kits; of parts, and [m] between two yaws at the rim of a part
+
+
+class Screened(NamedTuple):
+    """The most places that are compared as they are: in all, at one spot, and of one view."""
+
+    places: int
+    a_spot: int
+    a_view: int
+
+
+KIT_SCREENED, KIT_REFINED = Screened(24, 24, 24), 6  # for the kits, and how many of these are refined
+MASK_SCREENED, MASK_REFINED = Screened(40, 40, 1), 3  # for a part over a mask
+SPOT_SCREENED, SPOT_REFINED = Screened(160, 160, 1), 6  # at a spot beside all other bodies
+GRID_SCREENED = Screened(300, 30, 24)  # on the whole table
+RIVALS, SPOT = 3, 25e-3  # of these, that are refined in the whole image, and [m] within which they contradict a pose
+EXCHANGE = 0.9  # of what two parts explain, that they must explain over each other's masks to be exchanged
+ROOM = 8  # [px] in the small image, of windows that places share
+ROUNDS, STAYED = 2, 1e-3  # of searches beside all other bodies, if these move by more [m]
 OTHERS_REACH = 2  # [px] about another mask, whose pixels tell nothing about a part
 GAP = 0.05  # [m] up to which shapes are rendered together
-BADLY_EXPLAINED = 0.045  # of the pixels about a shape: it is searched again
-LEAST_GAIN = 50.0  # pixels that a shape must explain
-AGAIN = 2  # searches of shapes that are explained badly
+BADLY = 0.045  # of the pixels about a shape: it is searched everywhere
+LEAST_GAIN = 12.0  # pixels of the small image that a shape must explain
 SCALE_SPREAD = 1.7e-3  # of the depth scale of a stereo camera: uniform within 0.3 %
 EDGE_CORRELATION = 25.0  # by which edges that vary slowly make the scale less certain than independent pixels would
-LEAST_SCALE_SPREAD = 1.5e-3  # of the scale by one shape: the amounts by which edges extend are those of the model
-GOOD, LEAST_UNEXPLAINED, MARGIN = 0.035, 0.01, 2.0  # of what a certain pose and its rival leave unexplained
+SCALE_SPREAD_A_PX = 0.4e-3  # of the scale by one shape, for each pixel by which edges extend: 2.3e-3 for a D415 (val)
+LEAST_SCALE_SPREAD = 1e-4
+GOOD, CLEAR_LEAD = 0.03, 50.0  # unexplained share and lead of a certain pose: of 100 such poses of val 94 are right
 MOST_SCALE = 3 * SCALE_SPREAD  # beyond, no camera is believed
-MOST_SPREAD = 1e-3  # [m] of a body along the line of sight
+MOST_SPREAD = 1.25e-3  # [m] of a body along the line of sight
 SAME_POSE = 3e-3  # [m] by which the surfaces of two poses differ that count as one
 
 
@@ -51,8 +66,8 @@ class Agreement:
 
     unexplained: float
     """Share of the pixels in and about the shape."""
-    rival: float | None
-    """The same of the best other pose; None without one."""
+    lead: float | None
+    """The number of pixels that the best other pose explains less; None without one."""
     depth: float
     """[m] median absolute difference of measured and rendered depth."""
 
@@ -62,7 +77,7 @@ class Agreement:
         found = []
         if self.unexplained > GOOD:
             found.append(f"{self.unexplained:.0%} of what is seen about it is not explained")
-        if self.rival is not None and self.rival < MARGIN * max(self.unexplained, LEAST_UNEXPLAINED):
+        if self.lead is not None and self.lead < CLEAR_LEAD:
             found.append("another pose explains the image nearly as well")
         return tuple(found)
 
@@ -143,19 +158,23 @@ class _Registration:
         if grid is None:
             raise InputError("nothing stands on the table: expected kits and parts in view")
         self.grid = grid
-        self.rivals: defaultdict[str, list[tuple[float, StandingShape]]] = defaultdict(list)
-        """For each shape all its refined places, with what they leave unexplained."""
+        self.rivals: defaultdict[str, list[StandingShape]] = defaultdict(list)
+        """For each shape the other poses that were refined beside it."""
+        self.exchanges: dict[tuple[int, int], tuple[StandingShape, StandingShape]] = {}
+        """For two parts that may be over each other's masks, their places there."""
 
     def scene(self, kits: KnownShape, parts: Sequence[KnownShape], scale_spread: float) -> RegisteredScene:
         """All steps."""
         standing = self._kits(kits)
         bodies: list[StandingShape | None] = [standing, *self._over_masks(parts, standing)]
         self._refine(bodies, FINE[:2])
-        self._choose(bodies)
-        for _ in range(AGAIN):
-            if not self._search_again(parts, bodies):
-                break
-        self._choose(bodies)
+        self._place_missing(parts, bodies)
+        self._settle(bodies, range(1, len(bodies)))
+        bodies = self._exchanged(bodies)
+        again = [bodies[0], *(self._well_placed(body, bodies) for body in bodies[1:])]
+        if None in again:
+            self._place_missing(parts, again)
+            bodies = self._better(bodies, again, range(1, len(bodies)))
         scale, spread = self._scale(bodies, scale_spread)
         self._refine(bodies, FINE, scale)
         found = [body for body in bodies if body is not None]
@@ -168,93 +187,142 @@ class _Registration:
 
     def _kits(self, kits: KnownShape) -> StandingShape:
         """The kits, found in the whole image."""
-        places = self.grid.places(kits, templates(kits, KIT_YAWS), KIT_PLACES, KIT_PLACES)
-        if not places:
+        found = self._candidates(self.grid, views_from_above(kits, KIT_YAWS), kits, KIT_SCREENED, KIT_REFINED)
+        if not found:
             raise InputError("the image shows no kits of this shape")
-        scored = [self._coarse(place, ()) for place in places]
-        scored.sort(key=lambda each: each[0])
-        self.rivals[kits.name] = scored
-        return fit(self.image, scored[0][1], reaches=FINE[:2]).shape
+        self.rivals[kits.name] = [shape for _, shape in found]
+        return fit(self.image, found[0].shape, reaches=FINE[:2]).shape
 
-    def _coarse(
-        self, place: Place, others: Sequence[StandingShape], used: np.ndarray | None = None
-    ) -> tuple[float, StandingShape]:
-        """A place refined in the small image, with what it leaves unexplained there."""
-        shape = place.shape
-        beside = [other for other in others if shape.near(other, GAP)]
-        shape = fit(self.small, shape, beside, reaches=COARSE, used=used).shape
-        return self.small.misfit(shape, beside, used=used), shape
+    def _candidates(
+        self,
+        grid: HeightGrid | None,
+        views: Sequence[Views],
+        shape: KnownShape,
+        screened: Screened,
+        most: int,
+        others: Sequence[StandingShape] = (),
+        used: np.ndarray | None = None,
+    ) -> list[Place]:
+        """Places of a shape refined in the small image, with the pixels that they explain there, the most first.
+
+        Args:
+            grid: the heights, in which the shape is searched for; None: there are none.
+            views: of the shape.
+            shape: to find.
+            screened: the numbers of places that are compared as they are: all faces and yaws have similar heights.
+            most: the number of places that are refined.
+            others: shapes beside it.
+            used: (H / 2, W / 2) bool, the pixels that are compared; all if None.
+        """
+
+        windows: list[Window] = []  # places at one spot share what is behind them
+
+        def gain(standing: StandingShape) -> Place:
+            box = self.small.box(standing)
+            window = next((each for each in windows if each.box.contains(box)), None)
+            if window is None:
+                window = self.small.window(standing, neighbours(standing, others, GAP), room=ROOM)
+                windows.append(window)
+            return Place(window.gain(standing, used), standing)
+
+        def refined(standing: StandingShape) -> StandingShape:
+            return fit(self.small, standing, neighbours(standing, others, GAP), reaches=COARSE, used=used).shape
+
+        places = [] if grid is None else [gain(place.shape) for place in grid.places(shape, views, *screened)]
+        places = distinct(sorted(places, key=_by_score), most)
+        return sorted((gain(refined(place.shape)) for place in places), key=_by_score)
 
     def _over_masks(self, parts: Sequence[KnownShape], kits: StandingShape) -> list[StandingShape | None]:
         """Each part over a mask, so that all together explain the most pixels; None for a part that no mask fits."""
         masks = [int(label) for label in np.unique(self.labels) if label >= FIRST_PART_LABEL]
-        grids = {label: self.grid.of_mask(label, MASK_CELLS) for label in masks}
-        used = {label: self._used(label) for label in masks}
+        grids, used = [self.grid.of_mask(label) for label in masks], [self._used(label) for label in masks]
         gains = np.zeros((len(parts), len(masks) + len(parts)))  # a part may be over no mask
         best: dict[tuple[int, int], StandingShape] = {}
         for i, part in enumerate(parts):
-            views = templates(part, PART_YAWS)
-            places = [grid.places(part, views, SCREENED, SCREENED) if grid else [] for grid in grids.values()]
-            least = max((found[0].score for found in places if found), default=0.0) - WORSE_SCORE
-            for j, label in enumerate(masks):
-                for place in self._screened([each for each in places[j] if each.score > least], [kits], used[label]):
-                    unexplained, shape = self._coarse(place, [kits], used[label])
-                    self.rivals[part.name].append((unexplained, shape))
-                    gain = self.small.gain_of(shape, neighbours(shape, [kits], GAP), used[label])
-                    if gain > gains[i, j]:
-                        gains[i, j], best[i, j] = gain, shape
-        return [best.get(pair) for pair in zip(*linear_sum_assignment(gains, maximize=True), strict=True)]
-
-    def _screened(
-        self, places: Sequence[Place], others: Sequence[StandingShape], used: np.ndarray | None = None
-    ) -> list[Place]:
-        """The places that explain the most as they are: all faces and yaws of one spot have similar heights."""
-
-        def gain(place: Place) -> float:
-            return self.small.gain_of(place.shape, neighbours(place.shape, others, GAP), used)
-
-        return sorted(places, key=gain, reverse=True)[:PART_PLACES]
+            views = _part_views(part)
+            for j in range(len(masks)):
+                found = self._candidates(grids[j], views, part, MASK_SCREENED, MASK_REFINED, [kits], used[j])
+                if found and found[0].score > 0:
+                    gains[i, j], best[i, j] = found[0]
+        chosen = linear_sum_assignment(gains, maximize=True)[1]
+        for i, j in combinations(range(len(parts)), 2):
+            now, other = gains[i, chosen[i]] + gains[j, chosen[j]], gains[i, chosen[j]] + gains[j, chosen[i]]
+            first, second = best.get((i, chosen[j])), best.get((j, chosen[i]))
+            if other > EXCHANGE * now and first is not None and second is not None:
+                self.exchanges[i + 1, j + 1] = first, second
+        return [best.get((i, j)) for i, j in enumerate(chosen)]
 
     def _used(self, label: int) -> np.ndarray:
         """Pixels of the small image that no other part's mask has."""
         others = (self.labels >= FIRST_PART_LABEL) & (self.labels != label)
         return np.logical_not(binary_dilation(others, iterations=OTHERS_REACH))[::2, ::2]
 
-    def _choose(self, bodies: list[StandingShape | None]) -> None:
-        """Exchange each part for a rival at its spot that explains more beside the other bodies."""
-        for i, body in enumerate(bodies):
-            if body is None or i == 0:
-                continue
-            at_spot = [entry for entry in self.rivals[body.shape.name] if apart(entry[1], body) < SPOT]
-            most = self.small.gain_of(body, neighbours(body, bodies, GAP))
-            for _, rival in sorted(at_spot, key=lambda entry: entry[0])[:RIVALS]:
-                others = [other for k, other in enumerate(bodies) if k != i]
-                moved = fit(self.small, rival, neighbours(rival, others, GAP), reaches=(COARSE[-1], *FINE[:2])).shape
-                gain = self.small.gain_of(moved, neighbours(moved, others, GAP))
-                if gain > most:
-                    most, bodies[i] = gain, moved
-        self._refine(bodies, FINE[:2])
+    def _settle(self, bodies: list[StandingShape | None], which: Sequence[int]) -> None:
+        """Search some parts again at their spots, beside all others, while these move."""
+        before: dict[int, list[StandingShape]] = {}
+        for i in [*which] * ROUNDS:
+            body, others = bodies[i], [other for k, other in enumerate(bodies) if k != i and other is not None]
+            if body is not None and not _stayed(before.get(i, []), beside := neighbours(body, others, GAP)):
+                before[i], bodies[i] = beside, self._settled(body, others)
 
-    def _search_again(self, parts: Sequence[KnownShape], bodies: list[StandingShape | None]) -> bool:
-        """Search parts that are explained badly in what the others leave; returns whether there were any."""
-        cost = [1.0 if body is None else self.image.misfit(body, neighbours(body, bodies, GAP)) for body in bodies]
-        bad = [i for i in np.argsort(cost)[::-1].tolist() if i > 0 and cost[i] > BADLY_EXPLAINED]
-        good = [body for i, body in enumerate(bodies) if body is not None and i not in bad]
-        grid = self.grid.without(good)
-        for i in bad:
-            part, rest = parts[i - 1], [other for k, other in enumerate(bodies) if k != i]
-            now = bodies[i]
-            most = LEAST_GAIN if now is None else self.image.gain_of(now, neighbours(now, rest, GAP))
-            places = grid.places(part, templates(part, PART_YAWS), 2 * SCREENED, SCREENED)
-            for place in self._screened(places, good):
-                unexplained, shape = self._coarse(place, good)
-                gain = self.image.gain_of(shape, neighbours(shape, rest, GAP))
-                if gain > most:
-                    most, bodies[i] = gain, shape
-                    self.rivals[part.name].append((unexplained, shape))
-        if bad:
-            self._refine(bodies, FINE[:2])
-        return bool(bad)
+    def _settled(self, body: StandingShape, others: Sequence[StandingShape]) -> StandingShape:
+        """A part, or the rival at its spot that explains more beside the others."""
+        grid, shape = self.grid.without(others), body.shape
+        near = grid.about(grid.footprint(body))
+        found = self._candidates(near, _part_views(shape), shape, SPOT_SCREENED, SPOT_REFINED, others)
+        most = self._window(body, others).gain(body)
+        for _, rival in found[:RIVALS]:
+            moved = fit(self.image, rival, neighbours(rival, others, GAP), reaches=FINE[:2]).shape
+            self.rivals[shape.name].append(moved)
+            gain = self._window(moved, others).gain(moved)
+            if gain > most:
+                most, body = gain, moved
+        return body
+
+    def _well_placed(self, body: StandingShape | None, bodies: Sequence[StandingShape | None]) -> StandingShape | None:
+        """A body, but None if it is explained badly."""
+        return body if body is not None and self._window(body, bodies).misfit(body) < BADLY else None
+
+    def _exchanged(self, bodies: list[StandingShape | None]) -> list[StandingShape | None]:
+        """Bodies of which two have changed their places, if they explain more so."""
+        for (i, j), (first, second) in self.exchanges.items():
+            other = [*bodies]
+            other[i], other[j] = first, second
+            bodies = self._better(bodies, other, (i, j))
+        return bodies
+
+    def _better(
+        self, bodies: list[StandingShape | None], other: list[StandingShape | None], moved: Sequence[int]
+    ) -> list[StandingShape | None]:
+        """Bodies, or others that explain more once those that are moved are settled."""
+        self._settle(other, moved)
+        return other if self._explained(other) > self._explained(bodies) else bodies
+
+    def _place_missing(self, parts: Sequence[KnownShape], bodies: list[StandingShape | None]) -> None:
+        """Search the parts without a place in what all others leave, the one that explains the most first."""
+        missing = {i for i, body in enumerate(bodies) if body is None}
+        for _ in sorted(missing):
+            others = [body for body in bodies if body is not None]
+            grid, found = self.grid.without(others), {}
+            for i in missing:
+                part = parts[i - 1]
+                candidates = self._candidates(grid, _part_views(part), part, GRID_SCREENED, SPOT_REFINED, others)
+                if candidates and candidates[0].score > LEAST_GAIN:
+                    found[i] = candidates[0]
+            if not found:
+                return
+            i = max(found, key=lambda each: found[each].score)
+            bodies[i] = found[i].shape
+            missing.remove(i)
+
+    def _explained(self, bodies: Sequence[StandingShape | None]) -> float:
+        """The number of pixels that all parts explain, one after the other."""
+        first, *rest = [body for body in bodies if body is not None]
+        before = [[first, *rest[:k]] for k in range(len(rest))]
+        return sum(self._window(body, others).gain(body) for body, others in zip(rest, before, strict=True))
+
+    def _window(self, body: StandingShape, others: Sequence[StandingShape | None]) -> Window:
+        return self.image.window(body, neighbours(body, others, GAP))
 
     def _refine(self, bodies: list[StandingShape | None], reaches: Sequence[float], scale: float = 1.0) -> None:
         """Move each body to where it and those beside it explain the image best."""
@@ -265,29 +333,29 @@ class _Registration:
     def _scale(self, bodies: Sequence[StandingShape | None], before: float) -> tuple[float, float]:
         """The depth scale by the sizes of all bodies, and its standard deviation. before: the same without them."""
         certainty, total = before**-2, 0.0
+        least = max(SCALE_SPREAD_A_PX * self.image.extension, LEAST_SCALE_SPREAD)
         for body in bodies:
             if body is None:
                 continue
             found = fit(self.image, body, neighbours(body, bodies, GAP), reaches=FINE[1:], free_scale=True)
-            own = 1 / (EDGE_CORRELATION * found.covariance[3, 3] + LEAST_SCALE_SPREAD**2)
+            own = 1 / (EDGE_CORRELATION * found.covariance[3, 3] + least**2)
             certainty, total = certainty + own, total + own * found.log_scale
         return float(np.exp(total / certainty)), float(certainty**-0.5)
 
     def _agreement(self, body: StandingShape, bodies: Sequence[StandingShape], scale: float) -> Agreement:
-        """The agreement of a body, with its best rival."""
-        beside, distance = neighbours(body, bodies, GAP), ShapeDistance(body.shape.mesh)
-        others = sorted(self.rivals[body.shape.name], key=lambda each: each[0])
-        rival = next((cost for cost, other in others if self._differs(body, other, distance)), None)
-        return replace(agreement(self.image, body, beside, scale), rival=rival)
-
-    @staticmethod
-    def _differs(body: StandingShape, other: StandingShape, distance: ShapeDistance) -> bool:
-        return distance.between(body.camera_from_body(), other.camera_from_body()) > SAME_POSE
+        """The agreement of a body, with its lead over rivals at its spot."""
+        distance, pose = ShapeDistance(body.shape.mesh), body.camera_from_body()
+        near = (other for other in self.rivals[body.shape.name] if apart(body, other) < SPOT)
+        others = [each for each in near if distance.between(pose, each.camera_from_body()) > SAME_POSE]
+        rest = [each for each in bodies if each is not body]
+        gains = [self._window(each, rest).gain(each) for each in (body, *others)]
+        lead = gains[0] - max(gains[1:]) if others else None
+        return replace(agreement(self.image, body, neighbours(body, rest, GAP), scale), lead=lead)
 
     def _mask_of(self, body: StandingShape, scale: float) -> int:
         """The mask of a part with most of the body's pixels; 0 if there is none."""
-        box = self.image.box(body)
-        labels = self.labels[box.window][self.image.rendered([body], box, scale)[1]]
+        window = self.image.window(body, scale=scale)
+        labels = self.labels[window.box.window][window.exact(body)[1]]
         counts = np.bincount(labels[labels >= FIRST_PART_LABEL], minlength=1)
         return int(counts.argmax()) if counts.any() else 0
 
@@ -296,9 +364,23 @@ def agreement(
     image: DisparityImage, body: StandingShape, beside: Sequence[StandingShape], scale: float = 1.0
 ) -> Agreement:
     """How well a shape at its place explains an image, with the shapes beside it."""
-    box = image.box(body)
-    exact, inside = image.rendered([body, *beside], box, scale)
-    measured = image.measured[box.window]
-    both = inside & (measured > 0)
-    off = np.abs(image.gain / measured[both] - image.gain / exact[both]) if both.any() else np.array([np.inf])
-    return Agreement(image.misfit(body, beside, scale), None, float(np.median(off)))
+    window = image.window(body, beside, scale)
+    exact, inside = window.exact(body)
+    both = inside & (window.measured > 0)
+    off = np.abs(image.gain / window.measured[both] - image.gain / exact[both]) if both.any() else np.array([np.inf])
+    return Agreement(window.misfit(body), None, float(np.median(off)))
+
+
+def _stayed(before: Sequence[StandingShape], now: Sequence[StandingShape]) -> bool:
+    """Whether shapes are where they were."""
+    pairs = zip(before, now, strict=False)
+    return len(before) == len(now) and all(a.level is b.level and apart(a, b) < STAYED for a, b in pairs)
+
+
+def _part_views(part: KnownShape) -> list[Views]:
+    radius = float(np.linalg.norm(part.mesh.extents)) / 2
+    return views_from_above(part, max(FEWEST_YAWS, round(2 * np.pi * radius / YAW_STEP)))
+
+
+def _by_score(place: Place) -> float:
+    return -place.score

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from itertools import product
 
 import numpy as np
 from scipy.spatial import ConvexHull, KDTree
@@ -42,6 +43,11 @@ class KnownShape:
     def upright(name: str, mesh: Mesh) -> KnownShape:
         """A shape that stands as it is, z up."""
         return KnownShape(name, mesh, -UP[None])
+
+    @cached_property
+    def corners(self) -> np.ndarray:
+        """(8, 3) [m] of its box."""
+        return np.array(list(product(*self.mesh.bounds.T)))
 
     @cached_property
     def levels(self) -> tuple[Pose, ...]:
@@ -127,8 +133,9 @@ class StandingShape:
 @lru_cache(maxsize=64)
 def _camera_from_body(standing: StandingShape, scale: float) -> Pose:
     x, y, yaw = standing.place
-    table = Pose(standing.table.wxyz, standing.table.xyz / scale)
-    return table @ Pose.from_rotvec((0.0, 0.0, yaw), (x / scale, y / scale, 0.0)) @ standing.level
+    rotated = Pose(np.array([np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)]), np.array([x, y, 0.0]) / scale)
+    table = standing.table if scale == 1 else Pose(standing.table.wxyz, standing.table.xyz / scale)
+    return table @ (rotated @ standing.level)
 
 
 def table_frame(support: Support) -> Pose:

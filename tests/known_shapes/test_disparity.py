@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -62,12 +64,14 @@ def test_the_true_pose_explains_the_image_and_others_do_not() -> None:
     scene = sample_scene()
     image = disparities(scene, SHARP)
     kits = standing_kits(scene, image)
-    right = image.misfit(kits)
+    window = image.window(kits)
+    right = window.misfit(kits)
     assert right < 0.05
     for move in np.eye(3) * (8e-3, 8e-3, 0.15):
-        assert image.misfit(kits.at(kits.place + move)) > right + 0.01
-    assert image.gain_of(kits) > 1000
-    assert image.gain_of(kits.at(kits.place + (-0.25, 0.0, 0.0))) < 0
+        assert window.misfit(kits.at(kits.place + move)) > right + 0.01
+    assert window.gain(kits) > 1000
+    away = kits.at(kits.place + (-0.25, 0.0, 0.0))
+    assert image.window(away).gain(away) < 0
 
 
 def test_half_an_image_has_the_same_disparities() -> None:
@@ -82,3 +86,22 @@ def test_an_image_without_masks_has_the_same_disparities() -> None:
     plain = LabelledDepth(scene.image.view, np.zeros_like(scene.image.labels))
     image = DisparityImage.of(plain, SHARP, seen_support(scene.image))
     assert np.array_equal(image.measured, disparities(scene, SHARP).measured)
+
+
+def test_a_slow_error_of_the_disparities_changes_no_gain() -> None:
+    image = disparities(sample_scene(), SHARP)
+    kits = standing_kits(sample_scene(), image)
+    rows, columns = np.indices(image.measured.shape) / image.measured.shape[1] - 0.5
+    slow = image.bend * (1 + rows - columns)
+    bent = replace(image, measured=np.where(image.measured > 0, image.measured + slow, 0.0))
+    assert bent.window(kits).gain(kits) == pytest.approx(image.window(kits).gain(kits), rel=0.01)
+    assert bent.window(kits).misfit(kits) == pytest.approx(image.window(kits).misfit(kits), abs=5e-3)
+
+
+def test_a_window_with_room_contains_that_of_a_shape_which_moves_in_it() -> None:
+    image = disparities(sample_scene(), SHARP)
+    kits = standing_kits(sample_scene(), image)
+    wide, moved = image.window(kits, room=8), kits.at(kits.place + (4e-3, -4e-3, 0.0))
+    assert wide.box.contains(image.box(moved))
+    assert not image.window(kits).box.contains(wide.box)
+    assert wide.gain(moved) == pytest.approx(image.window(moved).gain(moved), rel=1e-3)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kit1000.known_shapes.disparity import DisparityImage
-from kit1000.known_shapes.height_search import CELL, HeightGrid, templates
+from kit1000.known_shapes.height_search import CELL, HeightGrid, views_from_above
 from kit1000.known_shapes.shapes import ShapeDistance, StandingShape
 from kit1000.known_shapes.support import seen_support
 from kit1000.perception.sensor_facts import SensorFacts
@@ -34,9 +34,9 @@ def true_place(name: str) -> StandingShape:
 def test_the_true_place_is_among_the_best(grid: HeightGrid, name: str, masked: bool) -> None:
     true = true_place(name)
     number = [part.id for part in SCENE.kits.parts].index(name)
-    searched = grid.of_mask(2 + number, 8) if masked else grid
+    searched = grid.of_mask(2 + number) if masked else grid
     assert searched is not None
-    places = searched.places(true.shape, templates(true.shape, 24), 10, 4)
+    places = searched.places(true.shape, views_from_above(true.shape, 24), 40, 20, 8)
     assert places == sorted(places, key=lambda place: -place.score)
     distance = ShapeDistance(true.shape.mesh)
     nearest = min(distance.between(true.camera_from_body(), place.shape.camera_from_body()) for place in places)
@@ -50,5 +50,5 @@ def test_what_is_taken_away_is_found_no_more(grid: HeightGrid) -> None:
     left = grid.without([tee])
     assert not (left.seen & grid.footprint(tee)).any()
     (middle,) = (np.round((tee.place[:2] - grid.corner) / CELL - 0.5).astype(int),)
-    for place in left.places(tee.shape, templates(tee.shape, 24), 10, 4):
+    for place in left.places(tee.shape, views_from_above(tee.shape, 24), 40, 20, 8):
         assert np.hypot(*(place.shape.place[:2] - tee.place[:2])) > CELL or not grid.seen[tuple(middle)]

@@ -94,7 +94,7 @@ def own_folder(folder: Path, scene: SampleScene | None = None) -> Path:
 
 def true_record(scene: SampleScene, source: dict[str, str], person: str | None = None) -> LabelRecord:
     """The record of a scene with its true poses; person: who confirmed all bodies."""
-    fit = Agreement(unexplained=0.01, rival=0.4, depth=5e-4)
+    fit = Agreement(unexplained=0.01, lead=400.0, depth=5e-4)
     poses = {KITS: scene.world_from_assembly}
     poses |= {part.id: pose for part, pose in zip(scene.kits.parts, scene.world_from_parts, strict=True)}
     bodies = (
