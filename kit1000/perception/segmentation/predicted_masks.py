@@ -13,7 +13,7 @@ from kit1000.perception.segmentation.instances import segmented
 from kit1000.perception.sensor_facts import SensorFacts, sensor_of, simulated_sensor
 from kit1000.predictor import PredictedMotion, Predictor
 from kit1000.queries.pivots import part_pivots
-from kit1000.values import FIRST_PART_LABEL, LabelledDepth, Query, TrueGeometry
+from kit1000.values import FIRST_PART_LABEL, LabelledDepth, Query, TrueGeometry, View
 from kit1000.weights import WEIGHTS
 
 if TYPE_CHECKING:
@@ -47,8 +47,7 @@ def with_predicted_masks(query: Query, scale: float = 1.0, sensor: SensorFacts |
     sensor: facts about it; None: those of the simulated sensor of its name.
     """
     seen_by = sensor or simulated_sensor(query.sensor)
-    restorer, finder = mask_networks() if seen_by.kind.restores else (None, None)
-    labels = segmented(query.view, seen_by, scale, restorer, finder).copy()
+    labels = _labels(query.view, seen_by, scale).copy()
     own = FIRST_PART_LABEL + query.part
     pivots = part_pivots(query.view, labels)
     if pivots:
@@ -61,6 +60,13 @@ def with_predicted_masks(query: Query, scale: float = 1.0, sensor: SensorFacts |
         labels[_around_pivot(query)] = own
     image = LabelledDepth(query.view, labels)
     return replace(query, read_image=lambda: image)
+
+
+@lru_cache(maxsize=1)
+def _labels(view: View, sensor: SensorFacts, scale: float) -> np.ndarray:
+    """(H, W) uint8 labels of an image; queries come scene by scene, and those of one scene share an image."""
+    restorer, finder = mask_networks() if sensor.kind.restores else (None, None)
+    return segmented(view, sensor, scale, restorer, finder)
 
 
 @lru_cache(maxsize=1)
