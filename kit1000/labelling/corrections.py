@@ -14,7 +14,8 @@ import numpy as np
 from kit1000.known_shapes.disparity import DisparityImage
 from kit1000.known_shapes.fit import COARSE, FINE, fit
 from kit1000.known_shapes.known_kits import KnownKits, read_known_kits
-from kit1000.known_shapes.registration import GAP, agreement
+from kit1000.known_shapes.registration import agreement
+from kit1000.known_shapes.scene_search import GAP
 from kit1000.known_shapes.shapes import StandingShape, neighbours
 from kit1000.known_shapes.support import seen_support
 from kit1000.labelling.label_records import LabelledBody, LabelRecord, confirmed
