@@ -27,7 +27,7 @@ from kit1000.parts.family import DENSITY
 from kit1000.pose import Pose
 from kit1000.sim.layout import TABLE_SIZE
 from kit1000.sim.settle import ROLLING_FRICTION, SPINNING_FRICTION
-from kit1000.sim.world import FRICTION
+from kit1000.sim.world import FRICTION, MARGIN
 from kit1000.values import Assembly, View
 
 if TYPE_CHECKING:
@@ -164,7 +164,7 @@ def _scene_frame(name: str, view: View) -> ElementTree.Element:
     visible = _add(default, "default", {"class": "visual"})
     _add(visible, "geom", type="mesh", group=2, contype=0, conaffinity=0, mass=0, rgba="0.75 0.77 0.8 1")
     touching = _add(default, "default", {"class": "collision"})
-    friction = {"friction": numbers(CONTACT_FRICTION), "condim": 6, "solref": f"{CONTACT_TIME} 1"}
+    friction = {"friction": numbers(CONTACT_FRICTION), "condim": 6, "solref": f"{CONTACT_TIME} 1", "margin": MARGIN}
     _add(touching, "geom", type="mesh", group=3, mass=0, rgba="0.9 0.45 0.2 0.5", **friction)
     _add(default, "site", size="0.003", group=4, rgba="0.2 0.6 0.3 1")
     _add(root, "asset")
