@@ -51,6 +51,8 @@ class Options:
     """Dataset folder. Default: a new tiny one."""
     pairs: int = 100
     """Number of parts that are inserted."""
+    wrong: int = 50
+    """Number of them that are also inserted by wrong motions."""
     settled: int = 20
     """Number of scenes that settle."""
     timed: int = 5
@@ -204,7 +206,7 @@ def main(options: Options) -> None:
             (scratch / recorded.id).mkdir()
             write_scene(recorded, shapes, scratch / recorded.id)
             engines[recorded.id] = Engine.load(scratch / recorded.id / SCENE)
-        measure_insertions(measurement, dataset, chosen, engines)
+        measure_insertions(measurement, dataset, chosen, engines, options.wrong)
         measure_settling(measurement, [engines[recorded.id] for recorded, _ in chosen[: options.settled]])
         measure_shapes(measurement, dataset, shapes, [recorded for recorded, _ in chosen])
         timed = [recorded for recorded, _ in chosen[: options.timed]]
@@ -220,12 +222,11 @@ def measure_insertions(
     dataset: Dataset,
     chosen: Sequence[tuple[RecordedScene, list[Truth]]],
     engines: dict[str, Engine],
+    wrong: int,
 ) -> None:
-    """Insert parts by true and by wrong motions."""
+    """Insert parts by true motions, and the first `wrong` of them by wrong ones."""
     trained = {row["family"] for row in dataset.geometry.parts.values() if row["split"] == "train"}
     pairs = [(recorded, truth) for recorded, truths in chosen for truth in truths]
-    truths = [truth for _, truth in pairs]
-    held_out = np.array([truth.family not in trained for truth in truths])
     table = measurement.table(
         "insertions",
         f"Insertions in MuJoCo, {len(pairs)} parts of the test split",
@@ -235,27 +236,22 @@ def measure_insertions(
         Column("seated", "seated at rest, %", 0, True),
         Column("left", "left the kit", 0),
     )
-    for name, motions in (
-        ("true", [truth.goal_drawn for truth in truths]),
-        (f"{OFFSET} clearances off", [off(truth) for truth in truths]),
+    for name, motion_of, count in (
+        ("true", lambda truth: truth.goal_drawn, len(pairs)),
+        (f"{OFFSET} clearances off", off, wrong),
     ):
+        truths = [truth for _, truth in pairs[:count]]
         results = [
-            inserted(engines[recorded.id], dataset, recorded, truth, motion)
-            for (recorded, truth), motion in zip(pairs, tqdm(motions, desc=name, unit="", disable=None), strict=True)
+            inserted(engines[recorded.id], dataset, recorded, truth, motion_of(truth))
+            for recorded, truth in tqdm(pairs[:count], desc=name, unit="", disable=None)
         ]
-        *motions_made, left = zip(*results, strict=True)
-        released, seated = (
-            seatings(Pose.stack(made), truths, dataset.geometry, exact="all").seated for made in motions_made
-        )
-        for label, rows in (("", np.ones(len(pairs), bool)), (", held-out families", held_out)):
+        *made, left = zip(*results, strict=True)
+        released, seated = (seatings(Pose.stack(m), truths, dataset.geometry, exact="all").seated for m in made)
+        held_out = np.array([truth.family not in trained for truth in truths])
+        for label, rows in (("", np.ones(len(truths), bool)), (", held-out families", held_out)):
             if rows.any():
-                table.add(
-                    motion=name + label,
-                    n=int(rows.sum()),
-                    released=rate(released[rows]),
-                    seated=rate(seated[rows]),
-                    left=int(np.array(left)[rows].sum()),
-                )
+                rates = {"released": rate(released[rows]), "seated": rate(seated[rows])}
+                table.add(motion=name + label, n=int(rows.sum()), **rates, left=int(np.array(left)[rows].sum()))
 
 
 def measure_settling(measurement: Measurement, engines: Sequence[Engine]) -> None:
