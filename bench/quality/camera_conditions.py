@@ -5,9 +5,9 @@
 Each condition differs from the base, which is one frame of the d415 at the camera pose of the scene. Noise is sampled
 again with a fixed seed. For another distance the scene is rendered again: the camera keeps its direction and looks at
 the middle between the part and its true goal. For several places the camera moves about the vertical axis through that
-middle; each image has its own noise and its own error of the camera pose. Methods get masks and an image as usual, and
-no truth. An image in which the part or its goal is outside the view is left out, and so is a query without any image;
-therefore n differs between distances.
+middle; each image has its own noise and its own error of the camera pose. Methods get masks and an image as usual,
+shapes if they read them, and no truth. An image in which the part or its goal is outside the view is left out, and so
+is a query without any image; therefore n differs between distances.
 """
 
 from __future__ import annotations
@@ -28,8 +28,11 @@ from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.errors import InputError
 from kit1000.metrics import Targets, pose_errors, seatings
 from kit1000.parallel import local_engine
+from kit1000.perception.segmentation.predicted_masks import with_predicted_masks
+from kit1000.perception.sensor_facts import simulated_sensor
 from kit1000.pose import Pose
 from kit1000.prediction.making import make_predictor, method_of
+from kit1000.predictor import PredictedMotion
 from kit1000.queries.pivots import part_pivots
 from kit1000.rng import stream
 from kit1000.sim.cameras import CAMERA, in_view
@@ -97,6 +100,8 @@ class CameraConditions:
     split: Literal["test", "val", "train"] = "test"
     limit: int = 40
     """Most queries of a condition, spread evenly over the split."""
+    masks: Literal["given", "found"] = "given"
+    """Masks of the renderer, or those that are found in each image."""
     workers: int = 1
     out: Path | None = None
     """JSON file for the table, such as results/camera-conditions.json."""
@@ -118,6 +123,7 @@ def main(options: CameraConditions) -> None:
     chosen = conditions_named(options.conditions)
     measurement = Measurement.begin(Dataset(options.data))
     title = f"{options.method} under conditions of the camera, queries of {options.track} of {options.split}"
+    title += f", masks {options.masks}"
     table = measurement.table("seated", title, *COLUMNS)
     with local_engine(options.workers) as engine:
         for condition in chosen:
@@ -176,7 +182,12 @@ def _answer(options: CameraConditions, condition: Condition, job: tuple[str, str
         return None
     if condition.places > 1 and not hasattr(predictor, "together"):
         raise InputError(f"{options.method}: has no `together`, which answers by images from several places")
-    predicted = predictor(queries[0], None) if condition.places == 1 else predictor.together(queries)
+    if options.masks == "found":
+        queries = [with_predicted_masks(each, sensor=simulated_sensor(each.sensor)) for each in queries]
+    if getattr(predictor, "reads", "") == "shapes":
+        predicted = next(iter(predictor.together(queries, scene.shapes)), PredictedMotion(Pose.identity(), 0.0))
+    else:
+        predicted = predictor(queries[0], None) if condition.places == 1 else predictor.together(queries)
     return Answer(predicted.goal_from_now, float(predicted.confidence), truth)
 
 

@@ -22,7 +22,7 @@ from kit1000.predictor import PredictedMotion
 from kit1000.registration.method import TrueScene, fits_in
 from kit1000.registration.predictor import stated_clearances
 from kit1000.registration.rank import NEAR, confidence, difference, from_elsewhere, mean_motion
-from kit1000.values import LabelledDepth, Query, SceneShapes, TrueGeometry
+from kit1000.values import LabelledDepth, Query, SceneShapes, TrueGeometry, View
 
 CONFIDENCE_DECIMALS = 4
 KEPT = 8  # scenes of images
@@ -86,7 +86,7 @@ class KnownShapeRegistration:
     """Predicts by the poses of known shapes."""
 
     dataset: Dataset
-    _last: dict[tuple[str, str], _Registered | InputError] = field(default_factory=dict)
+    _last: dict[View, _Registered | InputError] = field(default_factory=dict)
 
     reads = "shapes"
 
@@ -97,7 +97,7 @@ class KnownShapeRegistration:
         """
         given = _given(query, shapes)
         nothing = PredictedMotion(Pose.identity() if query.guess is None else query.guess, 0.0)
-        known = (query.scene_id, query.sensor) in self._last
+        known = query.view in self._last
         try:
             return next(iter(self.propose(query, given)), nothing)
         except InputError as fault:
@@ -111,12 +111,19 @@ class KnownShapeRegistration:
         If dataset.json states several images of the scene, each is registered, and what they agree on comes first.
         Raises InputError for an image that shows no table, or no kits.
         """
-        given = _given(query, shapes)
-        images = [self._insertions(query, self._registered(query, given), given)]
-        for other in from_elsewhere(self.dataset, query):
+        return self.together([query, *from_elsewhere(self.dataset, query)], _given(query, shapes))
+
+    def together(self, queries: Sequence[Query], shapes: SceneShapes) -> list[PredictedMotion]:
+        """The same by several images of one part, which cameras took in one world.
+
+        Raises InputError if the first image shows no table, or no kits; others may.
+        """
+        first, *others = queries
+        images = [self._insertions(first, self._registered(first, shapes), shapes)]
+        for other in others:
             with suppress(InputError):
-                images.append(self._insertions(other, self._registered(other, given), given))
-        return agreed_motions([each for each in images if each], query.pivot)
+                images.append(self._insertions(other, self._registered(other, shapes), shapes))
+        return agreed_motions([each for each in images if each], first.pivot)
 
     def find(self, queries: Sequence[Query], shapes: SceneShapes) -> FoundShapes:
         """Where the shapes are, for a person to look at. queries: about parts of one image.
@@ -159,15 +166,14 @@ class KnownShapeRegistration:
 
     def _registered(self, query: Query, shapes: SceneShapes) -> _Registered:
         """The scene of a query's image; those of the last images are kept, for queries come scene by scene."""
-        key = query.scene_id, query.sensor
-        if key not in self._last:
+        if query.view not in self._last:
             if len(self._last) == KEPT:
                 del self._last[next(iter(self._last))]
             try:
-                self._last[key] = self._register(query, shapes)
+                self._last[query.view] = self._register(query, shapes)
             except InputError as fault:
-                self._last[key] = fault
-        found = self._last[key]
+                self._last[query.view] = fault
+        found = self._last[query.view]
         if isinstance(found, InputError):
             raise found
         return found
