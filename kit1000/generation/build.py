@@ -48,7 +48,7 @@ from kit1000.queries.tracks import SPLITS
 from kit1000.sim.world import check_physics
 
 FILES, PARTS, ASSEMBLIES, SCENES = "mesh files", "parts and kits", "assemblies", "scenes"
-SECONDS = {FILES: 1.5, PARTS: 0.8, ASSEMBLIES: 0.3, SCENES: 0.45}
+SECONDS = {FILES: 1.1, PARTS: 0.6, ASSEMBLIES: 0.33, SCENES: 0.25}
 """CPU time of one file, part, assembly or scene, roughly [s]: the weights of the progress bar."""
 SCENE_COST = {"test": 2.0}
 """Cost of a scene of a split with more images, in the cost of a scene of the other splits."""
