@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -24,9 +23,6 @@ from kit1000.submission.check import CHECKSUM_2_0_0, coverage_faults
 from kit1000.submission.expected_queries import ExpectedQueries
 from kit1000.submission.faults import Fault
 from kit1000.values import Prediction
-from tests.samples.checkout import ROOT
-
-DOCUMENT = ROOT / "docs/reference/submission.md"
 
 
 @pytest.fixture(scope="module")
@@ -220,15 +216,3 @@ def test_anything_but_a_dataset_is_refused(mini: Path, truth: Predictions, tmp_p
     for content in (b"", b"\xff", b"query_id,qw,qx,qy,qz,x,y,z,confidence,seconds\n", b"a,b\n1,2\n"):
         (tmp_path / "p.csv").write_bytes(content)
         assert not check(tmp_path / "p.csv", mini).good
-
-
-def test_the_script_of_the_documentation_writes_a_valid_submission(
-    mini: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "data").mkdir()
-    (tmp_path / "data/kit1000").symlink_to(mini)
-    monkeypatch.chdir(tmp_path)
-    script = re.findall(r"^```py\n(.*?)^```", DOCUMENT.read_text("utf-8"), re.MULTILINE | re.DOTALL)[0]
-    assert len(script.splitlines()) <= 25
-    exec(script, {})
-    assert check("submissions/mine", "data/kit1000").good
