@@ -73,9 +73,14 @@ class Mesh:
         return np.stack([a[first], b[first]], 1)[convex], np.stack([first // 3, second // 3], 1)[convex]
 
     @cached_property
+    def areas(self) -> np.ndarray:
+        """(m,) [m^2] of the faces."""
+        return np.linalg.norm(_cross_products(self.triangles), axis=1) / 2
+
+    @cached_property
     def area(self) -> float:
         """[m^2]"""
-        return float(np.linalg.norm(_cross_products(self.triangles), axis=1).sum() / 2)
+        return float(self.areas.sum())
 
     @cached_property
     def volume(self) -> float:

@@ -34,10 +34,9 @@ class Options:
     """JSON file to write."""
 
 
-def read(dataset: Dataset, name: str) -> int:
+def read(dataset: Dataset, scene_id: str, name: str) -> int:
     """Read a query from its files and copy its depth, as an observation has it and a tensor needs it."""
-    scene = dataset.split("test").scene("-".join(name.split("-")[:2]))
-    query = next(query for query in scene.queries if query.id == name)
+    query = next(query for query in dataset.split("test").scene(scene_id).queries if query.id == name)
     return query.view.depth.copy().size + query.part_mask.size + query.kit_region.size
 
 
@@ -45,7 +44,7 @@ def milliseconds(env: AssemblyEnv, dataset: Dataset, names: list[str]) -> tuple[
     """CPU milliseconds of each read by the environment and by the dataset, in turn; each has images of its own."""
     clock = time.process_time
     ours = [1e3 * timed(partial(env.reset, options={"query": name}), clock)[0] for name in names]
-    return ours, [1e3 * timed(partial(read, dataset, name), clock)[0] for name in names]
+    return ours, [1e3 * timed(partial(read, dataset, env.scenes[name], name), clock)[0] for name in names]
 
 
 def main(options: Options) -> None:

@@ -30,7 +30,7 @@ from kit1000.mesh import inertia
 from kit1000.metrics import seatings
 from kit1000.pose import Pose, quaternion_angle, quaternion_conjugate, quaternion_multiply
 from kit1000.rng import stream
-from kit1000.sim.insertion import HAND_SPEED, MAX_FORCE, MAX_TORQUE, classify_outcome
+from kit1000.sim.insertion import HAND_SPEED, MAX_FORCE, MAX_TORQUE, clamp_norm, classify_outcome
 from kit1000.values import Truth
 
 mujoco: Any = importlib.import_module("mujoco")  # from an environment of its own
@@ -113,18 +113,13 @@ class Engine:
             pull = FREQUENCY**2 * (hand - now.xyz) - 2 * FREQUENCY * (linear + HAND_SPEED * (left > 0) * out)
             error = Pose(quaternion_multiply(quaternion_conjugate(now.wxyz), target.wxyz), np.zeros(3)).rotvec()
             twist = tensor @ (FREQUENCY**2 * error - 2 * FREQUENCY * angular)
-            force = clamped(mass * pull, MAX_FORCE) - mass * self.model.opt.gravity
-            self.data.xfrc_applied[body] = [*force, *now.rotate(clamped(twist, MAX_TORQUE))]
+            force = clamp_norm(mass * pull, MAX_FORCE) - mass * self.model.opt.gravity
+            self.data.xfrc_applied[body] = [*force, *now.rotate(clamp_norm(twist, MAX_TORQUE))]
             mujoco.mj_step(self.model, self.data)
         released = self.pose(part)
         self.data.xfrc_applied[body] = 0.0
         self.step(REST)
         return released, self.pose(part)
-
-
-def clamped(vector: np.ndarray, limit: float) -> np.ndarray:
-    """A vector shortened to a length."""
-    return vector * min(1.0, limit / max(float(np.linalg.norm(vector)), 1e-300))
 
 
 class PrismShapes(Shapes):

@@ -93,14 +93,11 @@ def find_plates(view: View, mask: np.ndarray, noise: Noise) -> list[Plate]:
 
 def plates_of(kits: Mesh) -> list[Plate]:
     """The plates of kits of known shape [m] world, the largest first: their upper faces but those inside a cavity."""
-    corners = kits.triangles
-    crossed = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    areas = np.linalg.norm(crossed, axis=1) / 2
-    normals = crossed / np.maximum(2 * areas, 1e-15)[:, None]
+    normals = kits.normals
     up = np.flatnonzero(normals[:, 2] > STEEPEST)
-    offsets = (corners[up].mean(1) * normals[up]).sum(1)
+    offsets = (kits.triangles[up].mean(1) * normals[up]).sum(1)
     _, plane = np.unique(np.column_stack([normals[up].round(3), offsets.round(4)]), axis=0, return_inverse=True)
-    wide = np.flatnonzero(np.bincount(plane.ravel(), areas[up]) > LEAST_FACE)
+    wide = np.flatnonzero(np.bincount(plane.ravel(), kits.areas[up]) > LEAST_FACE)
     faces = [kits.faces[up[plane.ravel() == i]] for i in wide]
     plates = [_plate(kits.vertices[used]) for own in faces for used in _connected(own)]
     plates = [plate for plate in plates if _outline_area(plate) > max(SMALLEST_OUTLINE, COMPACT * plate.radius**2)]

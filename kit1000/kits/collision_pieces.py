@@ -197,8 +197,7 @@ def _depth(hull: Piece, excess: Manifold) -> float:
     outer = (on_planes & (matmul(mesh.normals, hull.planes[:, :3].T) > 0)).any(1)
     if outer.all() or not outer.any():
         return 0.0
-    area = np.linalg.norm(np.cross(*np.moveaxis(np.diff(mesh.triangles[outer], axis=1), 1, 0)), axis=1).sum() / 2
-    points, _ = even_points(mesh.triangles[outer], int(np.clip(area / 1e-6, *SAMPLES)))
+    points, _ = even_points(mesh.triangles[outer], int(np.clip(mesh.areas[outer].sum() / 1e-6, *SAMPLES)))
     return float(_distances(points, mesh.triangles[~outer]).max())
 
 

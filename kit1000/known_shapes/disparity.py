@@ -18,6 +18,7 @@ from scipy.ndimage import maximum_filter, uniform_filter
 from kit1000.camera import Camera
 from kit1000.known_shapes.shapes import StandingShape
 from kit1000.known_shapes.support import Support
+from kit1000.perception.calibration.table import tukey_weights
 from kit1000.perception.sensor_facts import D415, SensorFacts
 from kit1000.pose import Pose
 from kit1000.sim.depth_edges import blended_ramps, widened_edges
@@ -184,9 +185,9 @@ class Window:
         """
         exact, inside = self.exact(shape)
         compared = self.compared(inside, used)
-        return (
-            self._unexplained(*self.image.expected(exact), compared) / max(compared.sum(), 1) if compared.any() else 1.0
-        )
+        if not compared.any():
+            return 1.0
+        return self._unexplained(*self.image.expected(exact), compared) / compared.sum()
 
     def gain(self, shape: StandingShape, used: np.ndarray | None = None) -> float:
         """The number of pixels that a shape explains and that table and others do not, less those that it spoils.
@@ -207,13 +208,17 @@ class Window:
         """The pixels among some that are not explained, after the slow error that explains the most is taken away."""
         image = self.image
         residual, total = (self.measured - mean)[compared], variance[compared] + image.noise**2
-        v, u = np.nonzero(compared)
-        rows, columns = compared.shape
-        slow = np.stack([np.ones(len(v)), 2 * u / columns - 1, 2 * v / rows - 1])
+        slow = slow_errors(compared)
         amounts, prior = np.zeros(3), np.eye(3) / image.bend**2
         for _ in range(SLOW_ROUNDS):
-            off = residual - amounts @ slow
-            weight = np.maximum(1 - off * off / (total * REACH**2), 0.0) ** 2 / (total * CORRELATED)
+            weight = tukey_weights(residual - amounts @ slow, REACH * np.sqrt(total)) / (total * CORRELATED)
             amounts = np.linalg.solve((slow * weight) @ slow.T + prior, (slow * weight) @ residual)
         left = np.minimum(np.square(residual - amounts @ slow) / (total * REACH**2), 1.0).sum()
         return float(left + CORRELATED / REACH**2 * (amounts @ prior @ amounts))
+
+
+def slow_errors(compared: np.ndarray) -> np.ndarray:
+    """(3, n) a constant and slopes across and down at the n pixels (h, w) bool that are compared."""
+    v, u = np.nonzero(compared)
+    rows, columns = compared.shape
+    return np.stack([np.ones(len(v)), 2 * u / columns - 1, 2 * v / rows - 1])

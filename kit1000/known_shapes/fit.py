@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kit1000.known_shapes.disparity import CORRELATED, SHARP, DisparityImage, Window
+from kit1000.known_shapes.disparity import CORRELATED, SHARP, DisparityImage, Window, slow_errors
 from kit1000.known_shapes.shapes import StandingShape
 from kit1000.perception.calibration.table import tukey_weights
 
@@ -96,10 +96,9 @@ def _equations(
         farther, nearer = (image.window(shape, others, scale * (1 + sign * by)) for sign in (1, -1))
         wider = (expected(shape, farther) - expected(shape, nearer)) / (2 * by)
     kept = window.compared(inside, used)
-    v, u = np.nonzero(kept)
-    rows, columns = kept.shape
-    slow = np.stack([np.ones(len(v)), 2 * u / columns - 1, 2 * v / rows - 1])
-    unknown = np.stack([*(slope[kept] for slope in slopes), np.zeros(len(v)) if wider is None else wider[kept], *slow])
+    slow = slow_errors(kept)
+    scaled = np.zeros(slow.shape[1]) if wider is None else wider[kept]
+    unknown = np.stack([*(slope[kept] for slope in slopes), scaled, *slow])
     total = variance[kept] + image.noise**2
     residual = window.measured[kept] - mean[kept]
     weight = tukey_weights(residual, reach * np.sqrt(total)) / (total * CORRELATED)

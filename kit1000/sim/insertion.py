@@ -142,8 +142,8 @@ def _lower_part(world: World, body: int, part: Workpiece, target: Pose, out: np.
         linear, angular = world.velocity(body)
         hand_velocity = -HAND_SPEED * (left > 0) * out
         pull = NATURAL_FREQUENCY**2 * (hand - now.xyz) + 2 * NATURAL_FREQUENCY * (hand_velocity - linear)
-        force = _clamp_norm(part.mass * pull, MAX_FORCE) + part.mass * GRAVITY * UP  # the hand also carries the weight
-        world.push(body, force, _clamp_norm(_torque(part, now, target.wxyz, angular), MAX_TORQUE))
+        force = clamp_norm(part.mass * pull, MAX_FORCE) + part.mass * GRAVITY * UP  # the hand also carries the weight
+        world.push(body, force, clamp_norm(_torque(part, now, target.wxyz, angular), MAX_TORQUE))
         world.step()
         now = world.pose(body)
         if matmul(now.xyz - hand, out) > MAX_LAG:
@@ -158,7 +158,8 @@ def _torque(part: Workpiece, now: Pose, wxyz: np.ndarray, angular: np.ndarray) -
     return matmul(axes, part.moments * matmul(axes.T, NATURAL_FREQUENCY**2 * error - 2 * NATURAL_FREQUENCY * angular))
 
 
-def _clamp_norm(vector: np.ndarray, limit: float) -> np.ndarray:
+def clamp_norm(vector: np.ndarray, limit: float) -> np.ndarray:
+    """A vector (3,), shortened to a length if it is longer."""
     return vector * min(1.0, limit / max(length(vector), 1e-300))
 
 
