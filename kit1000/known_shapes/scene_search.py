@@ -162,7 +162,7 @@ class SceneSearch:
         return np.logical_not(binary_dilation(others, iterations=OTHERS_REACH))[::2, ::2]
 
     def _settle(self, bodies: Bodies, which: Sequence[int]) -> None:
-        """Search some parts again at their spots, beside all others, while these move."""
+        """Search the parts with neighbours again at their spots while these neighbours move."""
         before: dict[int, list[StandingShape]] = {}
         for i in [*which] * ROUNDS:
             body, others = bodies[i], [other for k, other in enumerate(bodies) if k != i and other is not None]
