@@ -24,8 +24,9 @@ from kit1000.pose import Pose
 from kit1000.values import Kit, Slot
 
 FILM = 1e-6  # [m] thinner overlaps are rounding
-CRUMB = 1e-10  # [m^3] bodies of less are left out, and cuts with less than a tenth on one side
+CRUMB = 1e-10  # [m^3] bodies of less are left out, and halves of less than a tenth
 SAME_PLANE = (0.02, 5e-5)  # [rad] and [m]: cuts nearer to each other than this count as one
+FILM_GAIN = 0.9  # of the excess at most that a cut which removes only crumbs may leave
 CUTS = 12  # planes tried for a cut
 BALANCE = 0.5  # weight of the larger side's excess in the choice of a cut: round holes are halved, not shaved
 SAMPLES = (8, 150)  # least and most points at which an excess is measured, one a square millimetre
@@ -130,20 +131,25 @@ def _cut_pieces(solid: Manifold, tolerance: float) -> Iterator[Piece]:
         if body.volume() < CRUMB:
             continue
         hull = Piece(_vertices(body))
-        halves = _best_cut(body) if _exceeds(hull, body, tolerance) else ()
+        halves = _best_cut(body) if _exceeds(hull, body, tolerance) else []
         if not halves:
             yield hull
         for half in halves:
             uncut += half.decompose()
 
 
-def _best_cut(body: Manifold) -> tuple[Manifold, ...]:
-    """The halves of a solid by the plane after which the hulls exceed it least; none if no plane cuts it."""
-    best: tuple[float, tuple[Manifold, ...]] = (np.inf, ())
-    for normal, offset in _concave_planes(mesh_from_solid(body)):
-        halves = body.split_by_plane(normal, offset)
-        if min(half.volume() for half in halves) > CRUMB / 10:
-            excess = [ConvexHull(_vertices(half)).volume - half.volume() for half in halves]
+def _best_cut(body: Manifold) -> list[Manifold]:
+    """The halves of a solid by the plane after which the hulls exceed it least, without crumbs; none if no plane helps.
+
+    A plane that cuts off nothing but crumbs helps if these are films, which widen the hull.
+    """
+    mesh = mesh_from_solid(body)
+    whole = ConvexHull(mesh.vertices).volume - body.volume()
+    best: tuple[float, list[Manifold]] = (np.inf, [])
+    for normal, offset in _concave_planes(mesh):
+        halves = [half for half in body.split_by_plane(normal, offset) if half.volume() > CRUMB / 10]
+        excess = [ConvexHull(_vertices(half)).volume - half.volume() for half in halves]
+        if len(halves) == 2 or sum(excess) < FILM_GAIN * whole:
             score = sum(excess) + BALANCE * max(excess)
             best = min(best, (score, halves), key=lambda pair: pair[0])
     return best[1]

@@ -13,7 +13,7 @@ from kit1000.kits.convex_pieces import TOLERANCE, convex_prisms
 from kit1000.mesh import Mesh, mesh_from_solid, solid_from_mesh, surface_points
 from tests.samples.kits import sample_kit, sample_part
 
-FAMILIES = ["tee", "cover", "bracket"]
+FAMILIES = ["tee", "cover", "bracket", "stepped_shaft"]
 WITHIN = 0.25e-3  # [m]
 
 
