@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from kit1000.capture.known_sensors import known_unit
 from kit1000.errors import InputError
 
 NEAREST, FARTHEST = 0.15, 4.0  # [m] median depths of tables that a camera sees well
-UNITS = {1e-3: "1 mm", 1e-4: "0.1 mm", 2e-4: "0.2 mm", 2.5e-4: "0.25 mm", 1e-2: "1 cm", 1.0: "1 m", 1e-5: "0.01 mm"}
+UNITS = (1e-3, 1e-4, 2e-4, 2.5e-4, 1e-2, 1.0, 1e-5)
 """[m] that 1 in an image may stand for, the usual ones first."""
 SATURATED = 65535  # of 16 bits: many drivers write it for a pixel without a return
 MOST_PIXELS = 30_000_000
@@ -22,6 +22,11 @@ LEAST_RETURNS = 0.02  # share of the pixels
 
 class UnlikelyDepth(InputError):
     """The depths of an image are not those of a table in view."""
+
+    def __init__(self, message: str, median: float) -> None:
+        super().__init__(message)
+        self.median = median
+        """[m] of the depths."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,11 +52,6 @@ class DepthFrame:
     def integers(self) -> bool:
         """Whether the values are integers, of a unit that is not 1 m."""
         return self.values.dtype.kind in "iu"
-
-    @property
-    def with_swapped_bytes(self) -> DepthFrame:
-        """The frame of integers in the other order of bytes."""
-        return replace(self, values=self.values.astype(np.uint16).byteswap())
 
 
 def check_values(values: np.ndarray, source: str) -> None:
@@ -109,7 +109,8 @@ def metric_depth(frame: DepthFrame, unit: float) -> np.ndarray:
     depth = np.where(known, values, 0).astype(np.float64) * unit
     middle = float(np.median(depth[known]))
     if not NEAREST <= middle <= FARTHEST:
-        raise UnlikelyDepth(f"{frame.source}: median depth {middle:.4g} m, expected {NEAREST:g} to {FARTHEST:g}")
+        expected = f"expected {NEAREST:g} to {FARTHEST:g}"
+        raise UnlikelyDepth(f"{frame.source}: median depth {middle:.4g} m, {expected}", middle)
     return np.where(depth < 10 * FARTHEST, depth, 0).astype(np.float32)
 
 

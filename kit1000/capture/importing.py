@@ -10,20 +10,19 @@ import numpy as np
 
 from kit1000.capture.camera_files import read_intrinsics
 from kit1000.capture.depth_files import read_groups
-from kit1000.capture.depth_frames import DepthFrame, assumed_unit, stated_unit
-from kit1000.capture.depth_readings import image_and_table
+from kit1000.capture.depth_frames import DepthFrame
 from kit1000.capture.intrinsics import Intrinsics
 from kit1000.capture.options import ImportOptions
 from kit1000.capture.own_folder import write_own_folder
-from kit1000.capture.own_scene import OwnScene, frame_intrinsics, own_scene
+from kit1000.capture.own_scene import OwnScene, own_scene
 from kit1000.capture.pose_files import read_pose
-from kit1000.capture.scene_report import check_sides, check_size, report
+from kit1000.capture.scene_report import report
 from kit1000.capture.seen_bodies import MOST_BODIES
-from kit1000.capture.table_search import Table
 from kit1000.errors import InputError
 from kit1000.files import check_output
 
-CLEARANCES = (0.05, 100.0)  # [mm]
+RANGES = {"clearance_mm": (0.05, 100.0), "depth_scale": (1e-9, 1.0), "baseline_mm": (1e-3, 1e3)}
+"""Least and largest values of options."""
 MOST_APART = 10e-3  # [m] between the bodies of images of one scene
 SAME_AREA = 1.6  # ratio of the areas of a body as two images show it, at most
 
@@ -34,8 +33,6 @@ def import_scenes(options: ImportOptions) -> list[str]:
     clearance = None if options.clearance_mm is None else 1e-3 * options.clearance_mm
     scenes = imported_scenes(options)
     lines = [line for scene in scenes for line in report(scene, clearance)]
-    if options.check:
-        lines.append(check_size(scenes, [1e-3 * side for side in options.check]))
     if options.one_scene:
         apart = _check_same_bodies(scenes)
         lines.append(
@@ -58,8 +55,8 @@ def imported_scenes(options: ImportOptions) -> list[OwnScene]:
     groups = read_groups(options.sources, options)
     known = [_intrinsics(options, frames) for frames in groups]
     poses = _poses(options, len(groups))
-    empty = _empty_table(options)
-    return [own_scene(*each, empty) for each in zip(groups, known, [options] * len(groups), poses, strict=True)]
+    each_scene = zip(groups, known, poses, strict=True)
+    return [own_scene(frames, intrinsics, options, pose) for frames, intrinsics, pose in each_scene]
 
 
 def bodies_apart(one: OwnScene, other: OwnScene) -> float:
@@ -109,17 +106,12 @@ def _check(options: ImportOptions) -> None:
     check_output(options.out)
     if options.frames < 1 or options.first < 0:
         raise InputError("--frames: expected 1 or more, --first: 0 or more")
-    low, high = CLEARANCES
-    if options.clearance_mm is not None and not low <= options.clearance_mm <= high:
-        raise InputError(f"--clearance-mm: expected {low:g} to {high:g}, got {options.clearance_mm:g}")
-    if options.depth_scale is not None and not 0 < options.depth_scale <= 1:
-        raise InputError(f"--depth-scale: expected above 0 and up to 1 m, got {options.depth_scale:g} m")
-    if options.baseline_mm is not None and not 0 < options.baseline_mm <= 1000:
-        raise InputError(f"--baseline-mm: expected above 0 and up to 1000, got {options.baseline_mm:g}")
+    for name, (low, high) in RANGES.items():
+        value = getattr(options, name)
+        if value is not None and not low <= value <= high:
+            raise InputError(f"--{name.replace('_', '-')}: expected {low:g} to {high:g}, got {value:g}")
     if not 1 <= options.kit <= MOST_BODIES:
         raise InputError(f"--kit {options.kit}: expected the number of a body, from 1 to {MOST_BODIES}")
-    if options.check:
-        check_sides([1e-3 * side for side in options.check])
     for path in options.world_from_camera:
         read_pose(path)
 
@@ -129,13 +121,3 @@ def _intrinsics(options: ImportOptions, frames: Sequence[DepthFrame]) -> Intrins
     if not options.intrinsics:
         return None
     return read_intrinsics(options.intrinsics, Path(frames[0].source))
-
-
-def _empty_table(options: ImportOptions) -> Table | None:
-    """The table of the image without bodies, if there is one."""
-    if options.empty_table is None:
-        return None
-    frames = [frame for group in read_groups([options.empty_table], options) for frame in group]
-    known = frame_intrinsics(frames[0], _intrinsics(options, frames))
-    unit = stated_unit(frames[0], known, options.depth_scale, options.device) or assumed_unit(frames[0])
-    return image_and_table(frames, known, unit)[1]

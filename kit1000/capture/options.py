@@ -38,14 +38,10 @@ class ImportOptions:
     """[m] level sides and height of the kit: the body nearest to them is the kit, instead of the largest."""
     world_from_camera: tuple[Path, ...] = ()
     """Files of hand-eye poses: one for all images, or one for each; empty: the world follows from the bodies."""
-    empty_table: Path | None = None
-    """Depth image of the same camera and table without bodies."""
     clearance_mm: float | None = None
     """Gap between a part and the walls of its cavity; None: not known."""
     networks: bool = False
     """Whether the networks of segmentation cut the masks back."""
-    check: tuple[float, ...] = ()
-    """Sides [mm] of a box in view; empty: sizes are not checked."""
     licence: str = LICENCE
     """Licence of the images, for the recordings."""
     one_scene: bool = False

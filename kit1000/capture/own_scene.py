@@ -3,28 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from kit1000.capture.depth_frames import DepthFrame, assumed_unit, stated_unit
-from kit1000.capture.depth_readings import check_assumed_unit, image_and_table, image_of_frames
+from kit1000.capture.depth_frames import (
+    UNITS,
+    DepthFrame,
+    UnlikelyDepth,
+    assumed_unit,
+    mean_depth,
+    metric_depth,
+    stated_unit,
+)
 from kit1000.capture.intrinsics import Intrinsics
 from kit1000.capture.known_sensors import is_scanner, known_baseline
 from kit1000.capture.mask_networks import cut_back
 from kit1000.capture.options import ImportOptions
 from kit1000.capture.own_world import OwnWorld, world_of_bodies, world_of_pose
-from kit1000.capture.pinhole_images import PinholeImage
+from kit1000.capture.pinhole_images import PinholeImage, pinhole_image
 from kit1000.capture.pose_files import read_pose
 from kit1000.capture.seen_bodies import SeenBody, seen_bodies
-from kit1000.capture.table_search import Table
+from kit1000.capture.table_search import Table, find_table
 from kit1000.errors import InputError
 from kit1000.perception.sensor_facts import D415, SCANNER, SensorFacts
 from kit1000.sim.sensors import on_depth_grid
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, View
 
 UNKNOWN_DEVICE = "depth camera"
+NEAR_TABLE, FAR_TABLE = 0.12, 1.5  # [m] of the camera above a table
+SMALL_KIT, LARGE_KIT = 30e-3, 0.4  # [m] longer side of a kit
+FINE_UNITS = (1e-4, 2e-4, 2.5e-4)  # [m] usual units beside 1 mm
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +79,6 @@ def own_scene(
     intrinsics: Intrinsics | None,
     options: ImportOptions,
     pose: Path | None = None,
-    empty: Table | None = None,
 ) -> OwnScene:
     """The scene that frames of a camera at rest show.
 
@@ -78,24 +87,19 @@ def own_scene(
         intrinsics: those given; None: the first frame brings its own.
         options: what the user says.
         pose: file of the hand-eye pose; None: the world follows from the bodies.
-        empty: the table as the same camera sees it without bodies; None: it is found in the image itself.
 
     Raises:
         InputError: in one line, if the image shows no table or no bodies on it, or if a stated value does not fit it.
     """
     source, first = frames[0].source, frames[0]
-    known = frame_intrinsics(first, intrinsics)
+    known = _intrinsics_of(first, intrinsics)
     stated = stated_unit(first, known, options.depth_scale, options.device)
     unit = stated or assumed_unit(first)
-    if empty is None:
-        (image, table), floor = image_and_table(frames, known, unit), None
-    else:  # bodies may hide nearly all of the table, so it is not searched again
-        image = image_of_frames(frames, known, unit)
-        table, floor = _on_empty_table(image, source, empty)
-    bodies = seen_bodies(table, floor)
+    image, table = _image_and_table(frames, known, unit)
+    bodies = seen_bodies(table)
     chosen = _with_kit_first(bodies.sure, options, source, table)
     if stated is None and first.integers:
-        check_assumed_unit(source, unit, table.distance, chosen[0].sides)
+        _check_assumed_unit(source, unit, table.distance, chosen[0].sides)
     facts = _facts(first, known, image, table, options, unit)
     if options.networks:
         kit, parts = cut_back(table, on_depth_grid(image.depth), chosen, bodies.doubtful, facts)
@@ -111,7 +115,7 @@ def own_scene(
     return OwnScene(source, table, tuple(chosen), world, LabelledDepth(view, labels), facts, known.source)
 
 
-def frame_intrinsics(frame: DepthFrame, given: Intrinsics | None) -> Intrinsics:
+def _intrinsics_of(frame: DepthFrame, given: Intrinsics | None) -> Intrinsics:
     """The given intrinsics, else those that came with a frame."""
     known = given or frame.intrinsics
     if known is None:
@@ -121,11 +125,53 @@ def frame_intrinsics(frame: DepthFrame, given: Intrinsics | None) -> Intrinsics:
     return known
 
 
-def _on_empty_table(image: PinholeImage, source: str, empty: Table) -> tuple[Table, np.ndarray]:
-    """The table of an image as it was without bodies, and its heights there."""
-    if empty.image.camera != image.camera:
-        raise InputError(f"--empty-table: of another camera or size than {source}: take both with the same settings")
-    return replace(empty, image=image), empty.flat_heights
+def _image_and_table(frames: Sequence[DepthFrame], known: Intrinsics, unit: float) -> tuple[PinholeImage, Table]:
+    """The median of frames, undistorted, and its table.
+
+    Raises InputError if the frames have several sizes, or no table is found; it names a unit in which there may be one.
+    """
+    first = frames[0]
+    for frame in frames[1:]:
+        if frame.values.shape != first.values.shape:
+            sizes = f"{frame.values.shape[::-1]} px, the first frame has {first.values.shape[::-1]}"
+            raise InputError(f"{frame.source}: {sizes}")
+    try:
+        depth = mean_depth([metric_depth(frame, unit) for frame in frames])
+        image = pinhole_image(depth, known, first.source)
+        return image, find_table(image, first.source)
+    except UnlikelyDepth as error:
+        middle = error.median / unit
+        other = next((each for each in UNITS if NEAR_TABLE <= middle * each <= 2 * FAR_TABLE), None)
+        advice = "" if other is None else f"; is the unit {other:g} m? Give --depth-scale {other:g}"
+        raise InputError(f"{error}{advice}") from None
+
+
+def _check_assumed_unit(source: str, unit: float, distance: float, kit: tuple[float, float]) -> None:
+    """Raise InputError if a unit that nothing states makes a scene so large that a finer unit fits better.
+
+    Args:
+        source: the image, for the message.
+        unit: [m] that 1 was taken for.
+        distance: of the camera from the table [m], with this unit.
+        kit: sides of the kit [m], the shorter first, with this unit.
+    """
+    if distance <= FAR_TABLE and kit[1] <= LARGE_KIT:
+        return
+    ratios = {other: other / unit for other in FINE_UNITS}
+    fits = [
+        f"--depth-scale {other:g} ({_scene_text(ratio * distance, ratio * kit[0], ratio * kit[1])})"
+        for other, ratio in ratios.items()
+        if NEAR_TABLE <= ratio * distance <= FAR_TABLE and SMALL_KIT <= ratio * kit[1] <= LARGE_KIT
+    ]
+    if fits:
+        raise InputError(
+            f"{source}: taken in mm, which nothing states, {_scene_text(distance, *kit)}; give --depth-scale {unit:g} "
+            f"if that is so, or {' or '.join(fits)}"
+        )
+
+
+def _scene_text(distance: float, short: float, long: float) -> str:
+    return f"camera {100 * distance:.0f} cm above the table, kit {1e3 * short:.0f} x {1e3 * long:.0f} mm"
 
 
 def _with_kit_first(bodies: list[SeenBody], options: ImportOptions, source: str, table: Table) -> list[SeenBody]:

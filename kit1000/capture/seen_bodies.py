@@ -60,12 +60,9 @@ class SeenBodies(NamedTuple):
     """Lower ones."""
 
 
-def seen_bodies(table: Table, floor: np.ndarray | None = None) -> SeenBodies:
-    """The bodies of an image, at most MOST_BODIES.
-
-    floor: (H, W) [m] heights of the empty table, NaN if unknown; None: the table of this image is used.
-    """
-    heights = table.flat_heights if floor is None else table.heights - np.nan_to_num(floor)
+def seen_bodies(table: Table) -> SeenBodies:
+    """The bodies of an image, at most MOST_BODIES."""
+    heights = table.flat_heights
     least = float(np.clip(RIPPLES * table.ripple, LEAST_HEIGHT, MOST_LEAST))
     high = heights > least
     sure = float(np.clip(SURE * RIPPLES * table.ripple, BODY_HEIGHT, MOST_SURE))

@@ -43,10 +43,6 @@ MOST_BEND = 4.0  # [spreads]
 NEAREST_PLANE = 0.1  # [m] from the camera
 
 
-class NoTable(InputError):
-    """An image shows no plane that may be a table."""
-
-
 @dataclass(frozen=True, eq=False)
 class Table:
     """The table's plane as an image shows it."""
@@ -156,7 +152,7 @@ def _quadratic(x: np.ndarray, y: np.ndarray | float) -> np.ndarray:
 
 
 def find_table(image: PinholeImage, source: str) -> Table:
-    """The table of an image. Raises NoTable if the largest plane is too small; source: for messages."""
+    """The table of an image. Raises InputError if the largest plane is too small; source: for messages."""
     camera, depth = image.camera, image.depth
     rows, columns = np.arange(STEP // 2, camera.height, STEP), np.arange(STEP // 2, camera.width, STEP)
     grid = depth[np.ix_(rows, columns)].astype(float)
@@ -164,18 +160,18 @@ def find_table(image: PinholeImage, source: str) -> Table:
     rays = camera.unproject_pixels(np.stack([u, v], -1).astype(float), np.ones(grid.shape))
     seen = grid > 0
     if not seen.any():
-        raise NoTable(f"{source}: hardly any pixel has a depth: is it a depth image?")
+        raise InputError(f"{source}: hardly any pixel has a depth: is it a depth image?")
     inverse = np.where(seen, 1 / np.where(seen, grid, 1), 0)
     weights = np.where(seen, _middle_weights(u, v, camera), 0)
     planes = _random_planes(rays, inverse, seen, camera)
     best = _best_plane(planes, rays, inverse, weights)
     if best is None:
-        raise NoTable(f"{source}: no plane is seen from above: is the table in view?")
+        raise InputError(f"{source}: no plane is seen from above: is the table in view?")
     coefficients, spread = _fitted(rays[seen], inverse[seen], best)
     table = Table(image, coefficients, spread)
     share = np.count_nonzero(table.solid_mask) / max(np.count_nonzero(depth), 1)
     if share < LEAST_SHARE or not _plausible(coefficients):
-        raise NoTable(
+        raise InputError(
             f"{source}: the largest plane holds {100 * share:.0f} % of the image, expected {100 * LEAST_SHARE:.0f} or "
             "more: is the table in view?"
         )

@@ -33,8 +33,8 @@ class OwnImages:
     """Options that describe own depth images and the camera."""
 
     intrinsics: Annotated[tuple[str, ...], arg(metavar="FILE | FX FY CX CY")] = ()
-    """JSON of BOP, Open3D, RealSense, ROS or gqcnn; .txt with a 3 x 3 matrix; or four numbers [px]. Default: from the
-    recording."""
+    """JSON or YAML of BOP, Open3D, RealSense or ROS; .txt or .npy with a 3 x 3 matrix; or four numbers [px]. Default:
+    from the recording."""
     depth_scale: OptionalFloat = None
     """Metres per depth unit. Default: from the file, else 0.001 for integers, 1 for floats."""
     topic: OptionalName = None
@@ -53,15 +53,11 @@ class OwnImages:
     world_from_camera: Annotated[tuple[Path, ...], arg(metavar="FILE [FILE ...]")] = ()
     """JSON file with the pose of the camera (hand-eye) in a frame with the table at z = 0. One file, or one per image.
     Default: estimated from the bodies."""
-    empty_table: OptionalPath = None
-    """Depth image of the same table by the same camera, without bodies."""
     clearance_mm: OptionalFloat = None
     """Gap between a part and the walls of its cavity."""
     masks: Annotated[Masks | None, optional(Masks)] = None
     """How bodies are found: by depth alone, or corrected by networks (for a scanner by rules). Default: networks if
     torch is installed."""
-    check: Annotated[tuple[float, ...], arg(metavar="MM MM MM")] = ()
-    """Side lengths of a box that you placed in view; an image without a body of this size is refused."""
 
     def own_options(self) -> list[str]:
         """The options of own images that the user gave."""

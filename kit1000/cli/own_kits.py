@@ -32,9 +32,9 @@ class MakeKit:
     """Unit of the file. Default: guessed and reported."""
     fit_mm: OptionalFloat = None
     """Scale the part to this longest side. Default: true size."""
-    bodies: Annotated[Literal["union", "largest", "each"] | None, optional(Literal["union", "largest", "each"])] = None
-    """Treatment of several bodies in the file: all as one part (they touch or overlap), the largest alone, or a kit for
-    each in folders 01, 02, ... Default: several are refused unless one holds nearly all of the volume."""
+    bodies: Annotated[Literal["union", "largest"] | None, optional(Literal["union", "largest"])] = None
+    """Treatment of several bodies in the file: all as one part (they touch or overlap), or the largest alone. Default:
+    several are refused unless one holds nearly all of the volume."""
     no_preview: bool = False
     """Draw no preview.png."""
     workers: OptionalInt = None
@@ -51,7 +51,7 @@ class MakeKit:
                 raise InputError(f"{name}: expected 0.05 to 1000, got {value:g}")
         longest = None if self.fit_mm is None else self.fit_mm * 1e-3
         options = KitOptions(self.clearance_mm * 1e-3, self.unit, longest, self.bodies, not self.no_preview)
-        if len(paths) > 1 or self.bodies == "each":
+        if len(paths) > 1:
             return self._make_several(paths, options)
         try:
             print(kit_report_text(make_kit_from_file(paths[0], self.out, options), self.out))
@@ -67,14 +67,11 @@ class MakeKit:
         from kit1000.export.own_part import make_kits
 
         status = 0
-        with tqdm(total=len(paths), desc="kits", unit="file", disable=None) as bar:
-            for reports in make_kits(paths, self.out, options, self.workers):
-                bar.clear()
-                for name, report in reports.items():
-                    if isinstance(report, str):
-                        print(f"kit1000: {report}", file=sys.stderr)
-                        status = 1
-                    else:
-                        print(kit_report_text(report, self.out / name))
-                bar.update()
+        made = make_kits(paths, self.out, options, self.workers)
+        for name, report in tqdm(made, total=len(paths), desc="kits", unit="file", disable=None):
+            if isinstance(report, str):
+                tqdm.write(f"kit1000: {report}", file=sys.stderr)
+                status = 1
+            else:
+                tqdm.write(kit_report_text(report, self.out / name), file=sys.stdout)
         return status

@@ -147,8 +147,6 @@ class Edit(OwnImages):
     """Thing that you move: parts, or the robot's suction cup, one part at a time; bare: by gizmo. Cups never snap."""
     port: OptionalInt = None
     """Port of the page. Default: a free one."""
-    origin: tuple[str, ...] = ()
-    """Further web addresses of the page, as behind a proxy or ssh -L with another port: http://localhost:9000."""
     truth: bool = False
     """Show the true shapes; the page and every line of the log state it."""
     base_from_camera: OptionalPath = None
@@ -173,7 +171,7 @@ class Edit(OwnImages):
         shapes = None if kits is None else kits.shapes_for(dataset.summary)
         method = KNOWN if shapes else _default_method(dataset, scene, sensor) if self.interface == "scene" else "none"
         chosen = (data, scene, out, sensor, self.snap or method)
-        serve(Options(*chosen, self.port, self.truth, self.interface, self.origin, self.base_from_camera, shapes))
+        serve(Options(*chosen, self.port, self.truth, self.interface, self.base_from_camera, shapes))
         return 0
 
     def _kits(self) -> KnownKits | None:
@@ -268,8 +266,6 @@ class Study:
     """Number of the participant whose sitting begins or continues now, from 1; prints the address of the page."""
     port: OptionalInt = None
     """Port of the participant's page. Default: a free one."""
-    origin: tuple[str, ...] = ()
-    """Further web addresses of that page, as behind a proxy or ssh -L with another port: http://localhost:9000."""
     report: bool = False
     """Write trials.csv, analysis.json and report.md about the participants."""
 

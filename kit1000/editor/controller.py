@@ -74,8 +74,6 @@ class Controller:
         self.space = INTERFACES[log.header.interface](scene, asker is not None)
         self.space.adopt(log.restored(self.space.edited))
         self.display = Display(stage, self.space)
-        self.lets_go = True
-        """Whether letting go near a fit takes it."""
         self.held = False
         """Whether nothing can be moved, as while a robot carries parts out."""
         self._drag: Drag | None = None
@@ -84,7 +82,6 @@ class Controller:
             "view-camera": partial(self._look, "camera"),
             "view-top": partial(self._look, "top"),
             "deselect": lambda _: self.select(None),
-            "hide-kits": lambda _: self._switch("kits_hidden"),
             "undo": lambda _: self._step("undo"),
             "redo": lambda _: self._step("redo"),
             "take-all": lambda _: self._take_all(),
@@ -95,7 +92,7 @@ class Controller:
         }
         self._body_verbs: Mapping[str, Callable[[int], None]] = {
             "view-slot": lambda _: self.display.look("slot"),
-            "gizmo": lambda _: self._switch("shows_gizmo"),
+            "gizmo": self._switch_gizmo,
             "confirm": self._confirm,
             "reset": lambda body: self._do(Step(f"{self.space.name(body)}: put back", self.space.put_back([body]))),
             "next": self._next,
@@ -175,7 +172,7 @@ class Controller:
             return
         edit, name = self.space.current[drag.body], NAMES[drag.modifier]
         ghost = self.space.ghost(drag.body)
-        if edit is not drag.before and self.lets_go and ghost and takes_by_letting_go(ghost, edit, drag.pivot):
+        if edit is not drag.before and ghost and takes_by_letting_go(ghost, edit, drag.pivot):
             edit, name = edit.taken(ghost.goal_from_now, ghost.confidence), f"{name} and snap"
         self._move(name, drag.body, edit)
 
@@ -191,11 +188,6 @@ class Controller:
         else:
             self.space.current[body] = self.space.session.edits[body].moved(motion, True)
             self.display.moved(body)
-
-    @exclusive
-    def take_by_letting_go(self, takes: bool) -> None:
-        """Whether letting go near a fit takes it."""
-        self.lets_go = takes
 
     @exclusive
     def place(self, body: int, motion: Pose, name: str = "gizmo") -> None:
@@ -250,14 +242,12 @@ class Controller:
 
     @exclusive
     def completed(self, completion: Completion) -> None:
-        """What the method knows of the scene beyond its image."""
+        """What the method has found of the known shapes of the scene."""
         if completion.shapes is not None:
             self.space.know(completion.shapes)
             self.display.know_shapes()
-        elif completion.kits is not None:
-            self.display.complete_kits(completion.kits)
         elif completion.failure:
-            self.display.note(texts.not_completed(completion.failure))
+            self.display.note(texts.no_shapes(completion.failure))
 
     # What follows from them.
 
@@ -273,9 +263,9 @@ class Controller:
     def _look(self, name: str, eye: Eye | None) -> None:
         self.display.look(name, *(() if eye is None else (eye.aspect,)))
 
-    def _switch(self, name: str) -> None:
-        """Switch something of the workspace on or off."""
-        setattr(self.space, name, not getattr(self.space, name))
+    def _switch_gizmo(self, body: int) -> None:
+        del body
+        self.space.shows_gizmo = not self.space.shows_gizmo
         self.display.update()
 
     def _move_by_key(self, key: KeyMotion, body: int, eye: Eye | None) -> None:

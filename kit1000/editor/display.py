@@ -21,7 +21,7 @@ from kit1000.pictures.shading import framing_camera, part_colour
 from kit1000.pose import Pose
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL
 
-KITS, HIDDEN_KITS, OTHERS = "/kits", "/hidden-kits", "/others"
+KITS, OTHERS = "/kits", "/others"
 OVER_PART = np.array([0.0, 0.0, 0.035])  # [m] of its label, as seen from aside
 BEYOND_PART = np.array([0.0, 0.035, 0.0])  # [m] of the same, as seen from above: it must not cover the part
 UP_THE_CUP = np.array([0.0, 0.0, 0.07])  # [m] of its label, from the lip where it hangs
@@ -87,11 +87,8 @@ class Display:
     def __init__(self, stage: Stage, workspace: Workspace) -> None:
         self.stage, self.workspace = stage, workspace
         self._label_offset = OVER_PART
-        self._shows_hidden = False
         scene = workspace.scene
         self._by_hand = by_hand = isinstance(workspace, HandWorkspace)
-        self.completes = not (by_hand or scene.truth)
-        """Whether it shows what the image hides of the kits: points are what the camera saw, true shapes are whole."""
         if by_hand and not scene.truth:
             self._add_points()
         else:
@@ -111,13 +108,6 @@ class Display:
         self._add_ghosts()
         self.update()
 
-    def complete_kits(self, hidden: Mesh) -> None:
-        """Show what the image hides of the kits, as the method completes it [m] world, in a colour of its own."""
-        if self.completes and len(hidden.faces):
-            self.stage.show(HIDDEN_KITS, hidden, texts.HIDDEN_COLOUR, None)
-            self._shows_hidden = True
-            self.update()
-
     def moved(self, body: int) -> None:
         """A body in a drag: its pose, its label, its ghost and what there is to say of it, nothing else."""
         self.stage.move(body_node(body), self.workspace.current[body].goal_from_now)
@@ -132,9 +122,6 @@ class Display:
             self.stage.move(body_node(body), edit.goal_from_now)
             self._label(body)
         self._ghost()
-        self.stage.look(KITS, visible=not space.kits_hidden)
-        if self._shows_hidden:
-            self.stage.look(HIDDEN_KITS, visible=not space.kits_hidden)
         sought = space.sought()
         self.stage.progress(1 - len(sought) / max(len(space.scene.parts), 1))
         self.stage.say("note", "")
@@ -240,8 +227,8 @@ class Display:
         if part is None:
             return texts.PICK_FIRST if body == PLACE else self._pick_text()
         lines = [texts.part_line(part, space.part_edit(body)), self._snap_text(body)]
-        if space.assists:
-            lines.append(self._contact_line(body, part))
+        if space.assists and not space.over_kits(body):
+            lines.append(texts.ON_TABLE if part == body else texts.NOT_OVER_PLATE)
         if done:
             lines.append(texts.ALL_DONE)
         elif space.current[body].confirmed:
@@ -271,12 +258,6 @@ class Display:
         if space.current[body].snapped:
             return texts.SNAPPED_ALREADY
         return texts.no_fit(space.proposals[body], space.over_kits(body), space.waits(body))
-
-    def _contact_line(self, body: int, part: int) -> str:
-        space = self.workspace
-        if not space.over_kits(body):
-            return texts.ON_TABLE if part == body else texts.NOT_OVER_PLATE
-        return space.scene.contact(part, space.part_edit(body).goal_from_now, space.plate_of(body))
 
 
 def framed(points: np.ndarray, direction: np.ndarray, aspect: float) -> tuple[np.ndarray, np.ndarray]:

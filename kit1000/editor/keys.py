@@ -49,7 +49,6 @@ KEYS = (
     Key("view-top", "T", None, "look from the top"),
     Key("view-slot", "B", None, "look into the plate under the part"),
     Key("view-camera", "O", None, "look as the camera did"),
-    Key("hide-kits", "H", None, "hide or show the kits"),
     Key("deselect", "escape", None, "choose no part"),
     *(Key(f"select-{i}", str(i), None, "") for i in range(1, MOST_PARTS + 1)),
 )
@@ -57,10 +56,10 @@ BUTTONS: Mapping[str, Mapping[str, str]] = {
     "Fit": {"Take": "take", "Next": "next", "Snap all": "take-all"},
     "Part": {"Confirm": "confirm", "Confirm all": "confirm-all"},
     "History": {"Undo": "undo", "Redo": "redo", "Put all back": "reset-all"},
-    "Look": {"Camera": "view-camera", "Top": "view-top", "Plate": "view-slot", "Hide kits": "hide-kits"},
+    "Look": {"Camera": "view-camera", "Top": "view-top", "Plate": "view-slot"},
 }
 SNAPPING = {"take", "next", "take-all"}
-BARE = {"confirm", "undo", "redo", "reset-all", "view-top", "view-slot", "view-camera", "hide-kits", "deselect"}
+BARE = {"confirm", "undo", "redo", "reset-all", "view-top", "view-slot", "view-camera", "deselect"}
 """What is left of them in bare hand control."""
 
 HAND_HELP = {

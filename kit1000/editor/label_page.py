@@ -189,21 +189,19 @@ def _at_height(eye: Eye, screen: tuple[float, float], height: float) -> np.ndarr
 
 
 @contextlib.contextmanager
-def labelling(
-    root: Path, scene_id: str | None, port: int | None, origins: tuple[str, ...]
-) -> Iterator[tuple[LabelPage, str]]:
+def labelling(root: Path, scene_id: str | None, port: int | None) -> Iterator[tuple[LabelPage, str]]:
     """A page while the block runs, and its address; scene_id: None for the first scene of the folder."""
     scenes = OwnScenes.of(root, scene_id)
     correction = Correction(scenes, read_record(root, scenes.scene_ids[0]))
     points = shown_points(correction)[:, :2]
     (left, near), (right, far) = points.min(0) - AROUND, points.max(0) + AROUND
     table = np.array([(left, near), (right, near), (right, far), (left, far)])
-    with serving(port, origins, "kit1000 label") as (server, address):
+    with serving(port, "kit1000 label") as (server, address):
         yield LabelPage(ViserStage(server, Panel(HELP, BUTTONS, field="your name"), table), correction), address
 
 
-def run_label_page(root: Path, scene_id: str | None, port: int | None, origins: tuple[str, ...] = ()) -> None:
+def run_label_page(root: Path, scene_id: str | None, port: int | None) -> None:
     """Serve the page of a scene until Ctrl-C."""
-    with labelling(root, scene_id, port, origins) as (page, address), contextlib.suppress(KeyboardInterrupt):
+    with labelling(root, scene_id, port) as (page, address), contextlib.suppress(KeyboardInterrupt):
         print(f"{address}  {page.correction.record.scene_id} (Ctrl-C ends; confirmed labels are saved)", flush=True)
         wait_until_interrupted()

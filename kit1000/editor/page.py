@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from kit1000.editor import texts
 from kit1000.editor.display import FIELD, NARROW, body_node
 from kit1000.editor.dragging import NAMES, Modifier
-from kit1000.editor.keys import Interface, Key, buttons_of, help_text, keys_of, verbs_of
+from kit1000.editor.keys import Interface, Key, buttons_of, help_text, keys_of
 from kit1000.editor.pointing import Eye
 from kit1000.editor.texts import Colour
 from kit1000.errors import Kit1000Error
@@ -79,16 +79,10 @@ class Actor(Protocol):
 
 @runtime_checkable
 class Editor(Actor, Protocol):
-    """An actor with a history, and with fits that a part takes when it is let go."""
-
-    lets_go: bool
+    """An actor with a history."""
 
     def return_to(self, count: int) -> None:
         """Undo or redo until `count` operations are done."""
-        ...
-
-    def take_by_letting_go(self, takes: bool) -> None:
-        """Whether letting go near a fit takes it."""
         ...
 
 
@@ -101,8 +95,6 @@ class Panel:
     buttons: Mapping[str, Mapping[str, str]]
     """Verbs by the text of their buttons, in named groups."""
     keys: Sequence[Key] = ()
-    snaps: bool = False
-    """Whether a button switches if releasing a part near a fit takes it."""
     history: bool = False
     """Whether operations are listed."""
     field: str = ""
@@ -111,8 +103,7 @@ class Panel:
     @classmethod
     def of_editor(cls, interface: Interface, snaps: bool) -> Panel:
         """The panel of the editor. snaps: whether a method proposes fits."""
-        takes = "take" in verbs_of(interface, snaps)
-        return cls(help_text(interface, snaps), buttons_of(interface, snaps), keys_of(interface, snaps), takes, True)
+        return cls(help_text(interface, snaps), buttons_of(interface, snaps), keys_of(interface, snaps), history=True)
 
 
 class ViserStage:
@@ -266,9 +257,6 @@ class ViserStage:
         self._field = gui.add_text(panel.field, "", visible=bool(panel.field))
         for label, verbs in panel.buttons.items():
             gui.add_button_group(label, tuple(verbs)).on_click(partial(self._group_clicked, verbs))
-        if panel.snaps:
-            button = gui.add_button(texts.letting_go(True), color="gray")  # a checkbox would keep the space key
-            button.on_click(self._letting_go_clicked)
         if panel.history:
             with gui.add_folder("History", expand_by_default=False):
                 self._rows = [gui.add_button("", visible=False) for _ in range(HISTORY_ROWS)]
@@ -391,14 +379,6 @@ class ViserStage:
     async def _history_clicked(self, row: int, event: Any) -> None:
         count = self._counts[row]
         self._call(event, lambda actor: isinstance(actor, Editor) and actor.return_to(count))
-
-    async def _letting_go_clicked(self, event: Any) -> None:
-        def change(actor: Actor) -> None:
-            if isinstance(actor, Editor):
-                actor.take_by_letting_go(not actor.lets_go)
-                event.target.label = texts.letting_go(actor.lets_go)
-
-        self._call(event, change)
 
 
 def eye_of(client: viser.ClientHandle) -> Eye:

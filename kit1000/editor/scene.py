@@ -12,7 +12,6 @@ from scipy.spatial import ConvexHull
 
 from kit1000.capture.pose_files import stated_pose
 from kit1000.dataset.reader import Dataset, RecordedScene
-from kit1000.editor.part_on_plate import Cavities, TrueContacts
 from kit1000.editor.seen import ColouredPoints, SeenScene, coloured_points, observed, seen_scene
 from kit1000.editor.seen_plates import Plate, find_plates, plates_of
 from kit1000.errors import InputError
@@ -122,23 +121,9 @@ class EditedScene:
         """(3,) [m] world: the middle of what is seen of a part at its recorded pose."""
         return self.queries[part].pivot
 
-    def contact(self, part: int, motion: Pose, plate: Plate) -> str:
-        """How a part lies on a plate after a motion, as a text for the page."""
-        if self.truth or (self.known is not None and part in self.known.parts):
-            return self._contacts.text(part, motion, plate)
-        return self._cavities.text(self.tops[part], motion, plate)
-
     @cached_property
     def _seen(self) -> SeenScene:
         return seen_scene(self.recorded.labelled_depth(self.sensor), self.queries, self.sensor != "ideal")
-
-    @cached_property
-    def _cavities(self) -> Cavities:
-        return Cavities(self._seen.kits, self.sensor != "ideal")
-
-    @cached_property
-    def _contacts(self) -> TrueContacts:
-        return TrueContacts(self.kits, self.meshes)
 
 
 def editable_queries(scene: RecordedScene, sensor: str) -> dict[int, Query]:

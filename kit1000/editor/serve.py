@@ -8,14 +8,11 @@ from the browser.
 from __future__ import annotations
 
 import contextlib
-import gzip
 import io
-import json
 import os
-import re
 import socket
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -44,19 +41,8 @@ from kit1000.values import SceneShapes
 HOST = "127.0.0.1"
 PORTS = range(8080, 8100)  # tried in order, if none is asked for
 NO_SNAP = "none"
-ORIGIN = re.compile(r"https?://[a-zA-Z0-9.\-]+(:\d{1,5})?\Z|https?://\[[0-9a-fA-F:]+\](:\d{1,5})?\Z")
 REFUSED = 403  # HTTP status of a handshake from another origin
-SCRIPT = """<script>
-(() => {
-  const allowed = %s;
-  if (allowed.includes(location.origin)) return;
-  window.stop();
-  const text = document.createElement("p");
-  text.style.cssText = "font: 16px sans-serif; margin: 3em; max-width: 40em";
-  text.textContent = %s.replaceAll("ORIGIN", location.origin);
-  document.documentElement.replaceChildren(text);
-})();
-</script>"""
+MOST_REFUSED = 100  # addresses that are printed
 
 
 @dataclass(frozen=True)
@@ -73,8 +59,6 @@ class Options:
     port: int | None = None
     truth: bool = False
     interface: Interface = "scene"
-    origins: tuple[str, ...] = ()
-    """Further web addresses whose page may talk to the server, such as http://localhost:9000."""
     base_from_camera: Path | None = None
     """JSON file with the pose of the camera in the base of a robot, for moves.json."""
     shapes: SceneShapes | None = None
@@ -110,7 +94,7 @@ def editing(options: Options, sink: Sink | None = None, moves: bool = False) -> 
     header = options.header(dataset.id)
     with locked(options.out):
         log = EventLog(options.out, header, sink=sink)
-        with serving(options.port, options.origins) as (server, address):
+        with serving(options.port) as (server, address):
             worker = None if options.snap == NO_SNAP else Worker(method, scene.parts)
             table = seen_table(dataset.summary, options.scene)
             stage = ViserStage(server, Panel.of_editor(options.interface, worker is not None), table)
@@ -120,7 +104,7 @@ def editing(options: Options, sink: Sink | None = None, moves: bool = False) -> 
             log.add("open")
             try:
                 if worker is not None:
-                    worker.start(controller.received, controller.completed if controller.display.completes else None)
+                    worker.start(controller.received, None if options.truth else controller.completed)
                 yield controller, address
             finally:
                 if worker is not None:
@@ -149,20 +133,13 @@ def run(options: Options) -> None:
 
 
 @contextlib.contextmanager
-def serving(
-    port: int | None, origins: Sequence[str] = (), title: str = "kit1000 edit"
-) -> Iterator[tuple[viser.ViserServer, str]]:
-    """A server for this machine alone, and its address.
-
-    port: None for a free one. origins: further web addresses whose page may talk to it, as behind a tunnel or a proxy.
-    title: of the page.
-    """
-    check_origins(origins)
+def serving(port: int | None, title: str = "kit1000 edit") -> Iterator[tuple[viser.ViserServer, str]]:
+    """A server for this machine alone, and its address. port: None for a free one. title: of the page."""
     chosen = _free_port() if port is None else port
     if not 0 < chosen < 1 << 16:
         raise InputError(f"--port: expected 1 to 65535, got {chosen}")
     os.environ.pop("_VISER_PORT_OVERRIDE", None)
-    with _guarded(chosen, origins) as calls, contextlib.redirect_stdout(io.StringIO()):
+    with _guarded(chosen) as calls, contextlib.redirect_stdout(io.StringIO()):
         server = viser.ViserServer(host=HOST, port=chosen, label=title, verbose=False)
     try:
         if not calls:
@@ -190,14 +167,23 @@ def head_text(header: Header, camera: str) -> str:
 
 
 @contextlib.contextmanager
-def _guarded(port: int, further: Sequence[str]) -> Iterator[list[int]]:
+def _guarded(port: int) -> Iterator[list[int]]:
     """While the server is made, its handshake demands the Origin of its page; yields a list with the calls."""
-    serve, calls = websocket_server.serve, []
-    guard = Guard([*(f"http://{name}:{port}" for name in (HOST, "localhost")), *further])
+    serve, calls, refused = websocket_server.serve, [], set[str]()
+    origins = [f"http://{name}:{port}" for name in (HOST, "localhost")]
+
+    def respond(connection: Any, request: Any, response: Any) -> None:
+        response.headers["X-Frame-Options"] = "DENY"
+        response.headers["Content-Security-Policy"] = "frame-ancestors 'none'"
+        origin = shown(request.headers.get("Origin") or "no address")[:200]
+        if response.status_code == REFUSED and origin not in refused and len(refused) < MOST_REFUSED:
+            refused.add(origin)
+            advice = f"forward the same port, ssh -L {port}:{HOST}:{port}"
+            print(f"refused a page at {origin}: the server answers {', '.join(origins)}; {advice}", file=sys.stderr)
 
     def guarded(*args: Any, **options: Any) -> Any:
         calls.append(port)
-        return serve(*args, **{**options, "origins": guard.origins, "process_response": guard.process_response})
+        return serve(*args, **{**options, "origins": origins, "process_response": respond})
 
     with mock.patch.object(websocket_server, "serve", guarded):
         yield calls
@@ -214,55 +200,3 @@ def _free_port() -> int:
             probe.bind((HOST, port))
             return probe.getsockname()[1]
     raise InputError("no port is free")
-
-
-def check_origins(origins: Sequence[str]) -> None:
-    """Raise InputError for a web address that no browser would state."""
-    for origin in origins:
-        if not ORIGIN.match(origin):
-            raise InputError(f"--origin {origin}: expected scheme, host and port, such as http://localhost:9000")
-
-
-def explanation(origins: Sequence[str]) -> str:
-    """Why a page at another address than `origins` stays empty, and how to let it in; ORIGIN stands for its address."""
-    port = origins[0].rpartition(":")[2]
-    return (
-        f"This page stays empty: it is open at ORIGIN, and the server answers {' and '.join(origins)} alone. "
-        f"Either forward the same port (ssh -L {port}:127.0.0.1:{port}), or start the command again with "
-        "--origin ORIGIN."
-    )
-
-
-class Guard:
-    """Looks at the responses of a server."""
-
-    def __init__(self, origins: Sequence[str]) -> None:
-        self.origins = list(origins)
-        self._reported: set[str] = set()
-
-    def process_response(self, connection: Any, request: Any, response: Any) -> None:
-        """Forbid frames, explain to a page at another address why it is empty, and print which address was refused."""
-        response.headers["X-Frame-Options"] = "DENY"
-        response.headers["Content-Security-Policy"] = "frame-ancestors 'none'"
-        if response.status_code == REFUSED:
-            self._report(request.headers.get("Origin"))
-        elif response.headers.get("Content-Type", "").startswith("text/html") and response.body:
-            self._explain(response)
-
-    def _explain(self, response: Any) -> None:
-        """Put a script into a page that replaces it if it is open at another address."""
-        packed = response.headers.get("Content-Encoding") == "gzip"
-        page = gzip.decompress(response.body) if packed else response.body
-        script = (SCRIPT % (json.dumps(self.origins), json.dumps(explanation(self.origins)))).encode()
-        head = page.find(b"<head>") + len(b"<head>") if b"<head>" in page else 0
-        page = page[:head] + script + page[head:]
-        response.body = gzip.compress(page) if packed else page
-        del response.headers["Content-Length"]
-        response.headers["Content-Length"] = str(len(response.body))
-
-    def _report(self, origin: str | None) -> None:
-        name = shown(origin or "no address")[:200]
-        if name not in self._reported and len(self._reported) < 100:
-            self._reported.add(name)
-            hint = f"; --origin {name} lets it in" if ORIGIN.match(name) else ""
-            print(f"refused a page at {name}: the server answers {', '.join(self.origins)}{hint}", file=sys.stderr)

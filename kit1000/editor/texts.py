@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
 Colour = tuple[int, int, int]
 KIT_COLOUR: Colour = (205, 201, 194)
-HIDDEN_COLOUR: Colour = (224, 214, 190)
 OTHER_COLOUR: Colour = (170, 172, 176)
 TABLE_COLOUR: Colour = (236, 238, 240)
 GHOST_OPACITY = 0.45
@@ -79,11 +78,6 @@ def confidence_text(confidence: float) -> str:
     """A number and a word, so that colour alone carries no information."""
     word = "sure" if confidence >= SURE else "likely" if confidence >= LIKELY else "not sure"
     return f"{100 * confidence:.0f} % {word}"
-
-
-def letting_go(takes: bool) -> str:
-    """The button that says, and changes, what letting go near a fit does."""
-    return f"Letting go near a ghost: {'takes it' if takes else 'stays'}"
 
 
 def part_label(part: int, edit: PartEdit, selected: bool, unsure: bool = False) -> str:
@@ -149,8 +143,8 @@ def no_fit(proposals: PartProposals, over_kits: bool, waits: bool) -> str:
     return "No fit within 28 mm: move the part nearer to its cavity, turn it, or tip it over."
 
 
-def not_completed(failure: str) -> str:
-    """Why known shapes, or what the image hides of the kits, are not shown."""
+def no_shapes(failure: str) -> str:
+    """Why known shapes are not shown."""
     return f"Only what the image shows is shown: {plain(failure)}"
 
 

@@ -23,7 +23,6 @@ from kit1000.dataset.reader import Dataset
 from kit1000.editor.proposals import Proposal
 from kit1000.editor.scene import editable_queries
 from kit1000.errors import InputError, Kit1000Error
-from kit1000.mesh import Mesh
 from kit1000.parallel import start_worker
 from kit1000.pose import Pose
 from kit1000.prediction.making import make_predictor, method_of
@@ -86,14 +85,12 @@ class Result(NamedTuple):
 
 
 class Completion(NamedTuple):
-    """What a method knows of the scene beyond its image."""
+    """The known shapes of the scene."""
 
-    kits: Mesh | None
-    """[m] world: what the image hides of the kits; None if the method completes no kits."""
+    shapes: FoundShapes | None
+    """Where they were found; None if the method knows none."""
     failure: str = ""
-    """Why there is none although there should be one."""
-    shapes: FoundShapes | None = None
-    """The known shapes where they were found; None if the method knows none."""
+    """Why there are none although there should be some."""
 
 
 class Worker:
@@ -108,7 +105,7 @@ class Worker:
         self._executor = one_process()
 
     def start(self, done: Callable[[Result], None], completed: Callable[[Completion], None] | None = None) -> None:
-        """Begin with the jobs. done: called with each result; completed: once before, with what it completes."""
+        """Begin with the jobs. done: called with each result; completed: once before, with the known shapes."""
         threading.Thread(target=self._run, args=(done, completed), daemon=True).start()
 
     def ask(self, part: int, guess: Pose) -> None:
@@ -183,7 +180,7 @@ def _propose(method: Method, job: Job) -> Result:
 
 
 def _complete(method: Method) -> Completion:
-    """What the method completes; an error becomes a line for the page."""
+    """The known shapes; an error becomes a line for the page."""
     try:
         return completion_of(prepared(method))
     except Exception as error:
@@ -241,15 +238,9 @@ def proposals_of(made: Prepared, job: Job) -> list[Proposal]:
 
 
 def completion_of(made: Prepared) -> Completion:
-    """The known shapes where the method finds them, by its `find`; or the kits by its `completed_kits`."""
-    queries = tuple(made.queries.values())
-    if made.shapes is not None:
-        return Completion(
-            None, shapes=made.predictor.find(queries, made.shapes) if hasattr(made.predictor, "find") else None
-        )
-    if not hasattr(made.predictor, "completed_kits"):
-        return Completion(None)
-    return Completion(made.predictor.completed_kits(queries[0]))
+    """The known shapes where the method finds them, by its `find`."""
+    knows = made.shapes is not None and hasattr(made.predictor, "find")
+    return Completion(made.predictor.find(tuple(made.queries.values()), made.shapes) if knows else None)
 
 
 def _line(error: BaseException) -> str:

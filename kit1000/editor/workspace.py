@@ -36,7 +36,7 @@ class Workspace:
 
     interface: Interface = "scene"
     assists = True
-    """Whether the page helps the hand: drags slide over surfaces, keys align, the page reports contact."""
+    """Whether the page helps the hand: drags slide over surfaces, keys align, a number picks a part."""
 
     def __init__(self, scene: EditedScene, snaps: bool) -> None:
         """Nothing has moved. snaps: whether a method proposes fits."""
@@ -51,7 +51,6 @@ class Workspace:
         self.fit_index = 0
         """Index of the fit that is shown, among those near the hand."""
         self.shows_gizmo = False
-        self.kits_hidden = False
 
     @property
     def bodies(self) -> tuple[int, ...]:

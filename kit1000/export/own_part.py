@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from kit1000.dataset.json_rows import pose_row
 from kit1000.dataset.mesh_files import glb_bytes, stl_bytes
 from kit1000.errors import InputError, Kit1000Error, MeshRefused, Redraw, internal_error
-from kit1000.files import check_writable, clear_partial, sha256, with_checksum, write_bytes, write_json
+from kit1000.files import check_output, clear_partial, write_bytes, write_json
 from kit1000.kits.cavity import SAGITTA
 from kit1000.kits.kit import CLEARANCE, KitDesign
 from kit1000.kits.kit_trials import NOT_SEATED, Attempt, attempts
@@ -23,14 +21,12 @@ from kit1000.kits.seating import BISECTION_STEP
 from kit1000.mesh import Mesh, defect_float32, mesh_from_solid, solid_from_mesh
 from kit1000.parallel import local_engine, usable_cores
 from kit1000.parts.family import part_of_mesh
-from kit1000.parts.files.part_mesh import SeveralBodies
-from kit1000.parts.files.read import MeshReading, Refusal, read_bodies, read_mesh
+from kit1000.parts.files.part_mesh import Choice, SeveralBodies
+from kit1000.parts.files.read import MeshReading, read_mesh
 from kit1000.values import Part
 
 COLOURS = {"kit": (224, 219, 210), "part": (238, 122, 40)}  # sRGB, those of the pictures
 REPORT = "report.json"  # written last: if it exists, the other files are complete and of the same part
-KIT_FILES = ("kit.stl", "part.stl", "seated.glb", "preview.png")
-FILES = "files"  # entry of a report: SHA-256 of the files beside it, by name
 PREVIEW = "preview.png"
 BEGUN = ".begun"  # beside the files while they are written: a run that is killed leaves it
 
@@ -49,14 +45,10 @@ class KitOptions:
     """Unit of the files: mm, cm, m or inch; guessed if None."""
     longest: float | None = None
     """Longest side to which the part is scaled; true size if None. [m]"""
-    bodies: Literal["union", "largest", "each"] | None = None
-    """Which body of several is the part, as in `read_mesh`; "each": every one gets a kit."""
+    bodies: Choice | None = None
+    """Which body of several is the part, as in `read_mesh`."""
     preview: bool = True
     """Whether to draw preview.png."""
-
-
-Reports = dict[str, dict[str, Any] | str]
-"""Reports of several kits by folder, or the reasons why there is no kit."""
 
 
 def make_kit_from_file(path: Path, out: Path, options: KitOptions = KitOptions()) -> dict[str, Any]:
@@ -65,47 +57,56 @@ def make_kit_from_file(path: Path, out: Path, options: KitOptions = KitOptions()
     Args:
         path: mesh file of the part.
         out: folder, new or of an earlier run; gets kit.stl, part.stl, seated.glb, preview.png and report.json.
-        options: `bodies` is not "each".
+        options: how it is made.
 
     Raises:
         InputError: the file is no usable part, no kit can be made, or the folder cannot be written.
         InexactKit: the clearance of the kit is too small, or the part does not seat in it.
     """
-    check_out(out)
-    assert options.bodies != "each", "make_kits writes several kits"
+    check_output(out, REPORT, BEGUN)
+    if path.resolve().parent == out.resolve():
+        raise InputError("--out: is the folder of the part, which would be replaced")
     try:
         reading = read_mesh(path, options.unit, options.bodies)
     except SeveralBodies as refusal:
-        others = "" if options.bodies == "union" else "union (they touch or overlap), "
-        hint = f"choose --bodies {others}largest, or each (a kit for every one)"
-        raise InputError(f"{path}: {refusal.reason}; {hint}") from None
+        others = "" if options.bodies == "union" else "union (they touch or overlap) or "
+        raise InputError(f"{path}: {refusal.reason}; choose --bodies {others}largest, or a file of each") from None
     except MeshRefused as refusal:
         raise InputError(f"{path}: {refusal.reason}") from None
-    return _make_and_write(reading, str(path), out, options)
+    files, report = make_kit(reading, str(path), options)
+    clear_partial(out, *files, REPORT)
+    write_bytes(out / BEGUN, b"")
+    for name in (REPORT, PREVIEW):  # those of an earlier run would be of another kit
+        (out / name).unlink(missing_ok=True)
+    for name, data in files.items():
+        write_bytes(out / name, data)
+    write_json(out / REPORT, report)
+    (out / BEGUN).unlink()
+    return report
 
 
 def make_kits(
     paths: Sequence[Path], out: Path, options: KitOptions = KitOptions(), workers: int | None = None
-) -> Iterator[Reports]:
+) -> Iterator[tuple[str, dict[str, Any] | str]]:
     """Make the kits of many files in folders of `out` named after them, on all cores; the largest file first.
 
-    With `options.bodies` "each", the bodies of a file get folders 01, 02, ... in that of the file, or in `out` if it is
-    the only file. Yields the reports of each file as it is done; `report.json` of `out` has all of them and is written
-    last. A file or body without a kit does not stop the others.
+    Yields the name of each folder with the report, or the reason why there is no kit, as it is done; `report.json` of
+    `out` has all of them and is written last. A file without a kit does not stop the others.
 
-    Raises InputError if the folder cannot be written, or if the only file is refused as a whole.
+    Raises InputError if the folder cannot be written.
     """
-    check_out(out)
+    check_output(out, REPORT, BEGUN)
+    write_bytes(out / BEGUN, b"")
     (out / REPORT).unlink(missing_ok=True)
-    names = [""] if len(paths) == 1 and options.bodies == "each" else folder_names(paths)
-    jobs = [_KitJob(path, out, name, options) for path, name in zip(paths, names, strict=True)]
+    jobs = [_KitJob(path, out, name, options) for path, name in zip(paths, folder_names(paths), strict=True)]
     jobs.sort(key=lambda job: job.path.stat().st_size if job.path.is_file() else 0, reverse=True)
-    reports: Reports = {}
+    reports: dict[str, dict[str, Any] | str] = {}
     with local_engine(min(workers or usable_cores(), len(jobs))) as run:
-        for done in run(_KitJob.run, jobs):
-            reports |= done
-            yield done
+        for name, report in run(_KitJob.run, jobs):
+            reports[name] = report
+            yield name, report
     write_json(out / REPORT, dict(sorted(reports.items())))
+    (out / BEGUN).unlink()
 
 
 @dataclass(frozen=True)
@@ -115,41 +116,20 @@ class _KitJob:
     path: Path
     out: Path
     name: str
-    """Folder of the file in `out`; empty for `out` itself."""
+    """Folder of the file in `out`."""
     options: KitOptions
 
     def __str__(self) -> str:
         return str(self.path)
 
-    def run(self) -> Reports:
-        """Make the kit, or those of all bodies."""
-        folder = self.out / self.name
-        if self.options.bodies != "each":
-            return {self.name: self._tried(make_kit_from_file, self.path, folder, self.options)}
+    def run(self) -> tuple[str, dict[str, Any] | str]:
+        """The name of the folder, and the report or why there is no kit."""
         try:
-            readings = read_bodies(self.path, self.options.unit)
-        except MeshRefused as refusal:
-            if not self.name:
-                raise InputError(f"{self.path}: {refusal.reason}") from None
-            return {self.name: f"{self.path}: {refusal.reason}"}
-        reports: Reports = {}
-        for number, reading in enumerate(readings, 1):
-            place, body = f"{self.path}: body {number} of {len(readings)}", f"{number:02d}"
-            name = f"{self.name}/{body}" if self.name else body
-            if isinstance(reading, Refusal):
-                reports[name] = f"{place}: {reading.reason}"
-            else:
-                reports[name] = self._tried(_make_and_write, reading, place, folder / body, self.options)
-        return reports
-
-    def _tried(self, make: Callable[..., dict[str, Any]], *arguments: Any) -> dict[str, Any] | str:
-        """The report that a function makes, or why there is no kit."""
-        try:
-            return make(*arguments)
+            return self.name, make_kit_from_file(self.path, self.out / self.name, self.options)
         except (InputError, InexactKit) as refusal:
-            return str(refusal)
+            return self.name, str(refusal)
         except Exception as error:  # one file may trigger an unforeseen case: it is reported and the others get kits
-            return str(internal_error(str(self.path), error))
+            return self.name, str(internal_error(str(self.path), error))
 
 
 def folder_names(paths: Sequence[Path]) -> list[str]:
@@ -162,60 +142,6 @@ def folder_names(paths: Sequence[Path]) -> list[str]:
             name = f"{path.stem}-{number}"
         names.append(name)
     return names
-
-
-def check_out(out: Path) -> None:
-    """Raise InputError unless a folder can be written and is new, empty, or holds nothing but kits of earlier runs."""
-    check_writable(out)
-    stranger = _stranger(out)
-    if stranger is not None:
-        raise InputError(f"{stranger}: is not of an earlier run of this command: it stays; choose another --out")
-
-
-def _stranger(folder: Path) -> Path | None:
-    """The first file below a folder that no earlier run wrote; hidden ones are left alone."""
-    report = _read_report(folder / REPORT)
-    is_ours = report == with_checksum(report) and isinstance(report.get(FILES), dict)
-    is_of_several = all(isinstance(row, str) or (isinstance(row, dict) and FILES in row) for row in report.values())
-    written = report[FILES] if is_ours else {}
-    begun = KIT_FILES if (folder / BEGUN).is_file() else ()
-    for entry in sorted(folder.iterdir()) if folder.is_dir() else []:
-        if entry.name.startswith(".") or entry.name in begun:
-            continue
-        if entry.is_dir():
-            found = _stranger(entry)
-        elif entry.name == REPORT:
-            found = None if is_ours or (report and is_of_several) else entry
-        else:
-            found = None if sha256(entry) == written.get(entry.name) else entry
-        if found is not None:
-            return found
-    return None
-
-
-def _read_report(path: Path) -> dict[str, Any]:
-    """A report; empty if there is none."""
-    try:
-        report = json.loads(path.read_bytes())
-    except (OSError, ValueError, RecursionError):
-        return {}
-    return report if isinstance(report, dict) else {}
-
-
-def _make_and_write(reading: MeshReading, place: str, out: Path, options: KitOptions) -> dict[str, Any]:
-    """Make the kit of a part and write it to a folder; returns the report. `place` begins every message."""
-    files, report = make_kit(reading, place, options)
-    clear_partial(out, *files, REPORT)
-    write_bytes(out / BEGUN, b"")
-    (out / REPORT).unlink(missing_ok=True)
-    if PREVIEW not in files:  # that of an earlier run would show another kit
-        (out / PREVIEW).unlink(missing_ok=True)
-    for name, data in files.items():
-        write_bytes(out / name, data)
-    complete = with_checksum(report | {FILES: {name: hashlib.sha256(data).hexdigest() for name, data in files.items()}})
-    write_json(out / REPORT, complete)
-    (out / BEGUN).unlink()
-    return complete
 
 
 def make_kit(reading: MeshReading, place: str, options: KitOptions) -> tuple[dict[str, bytes], dict[str, Any]]:

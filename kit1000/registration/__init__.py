@@ -19,7 +19,7 @@ METHODS = {
         "kit1000.registration.predictor:Registration",
         "registration from the depth image, the part completed by a network, noisy images restored by others",
         label="Registration, completed part",
-        options={"source": "depth", "kit_completion": WEIGHTS / "kit-completion"},
+        options={"source": "depth"},
         learned=True,
         training_data="40,000 sampled parts; 34,500 views and 2218 fits of split train by ideal depth, d415 and "
         "photoneo, data version 2.0.0",

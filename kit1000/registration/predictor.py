@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
-from kit1000.mesh import Mesh
 from kit1000.perception.image_kinds import ImageKind
 from kit1000.perception.sensor_facts import SensorFacts, sensor_of
 from kit1000.pose import Pose
@@ -21,7 +20,6 @@ from kit1000.registration.rank import Fit, agreed, confidence, from_elsewhere
 from kit1000.values import Query, TrueGeometry
 
 if TYPE_CHECKING:
-    from kit1000.perception.completion.kits import KitCompleter
     from kit1000.perception.completion.parts import PartCompleter
     from kit1000.perception.placement.network import Placer
     from kit1000.perception.restoration.restorer import HoleFiller, Restorer
@@ -51,8 +49,6 @@ class Registration:
     """Stem of the weights of a network that fills holes of kits in images of scanners; None: they stay unknown."""
     placement: Path | None = None
     """Stem of the weights of a network that places fits in images that a network restored; None: none does."""
-    kit_completion: Path | None = None
-    """Stem of the weights of a network that completes kits, for a person to look at."""
 
     def __post_init__(self) -> None:
         if self.source not in SOURCES:
@@ -105,19 +101,6 @@ class Registration:
         """[m] to try."""
         return self.clearances or stated_clearances(self.dataset)
 
-    def completed_kits(self, query: Query) -> Mesh | None:
-        """What the image of a query hides of the kits, as a network completes it; None without that network.
-
-        [m] world, as the recorded camera is believed to stand: a noisy image is calibrated to complete it.
-        """
-        if self.kit_completion is None:
-            return None
-        from kit1000.perception.completion.kits import completed_kits
-
-        sensor = self._sensor(query)
-        completer = _kit_completer(self.kit_completion)
-        return completed_kits(query, sensor, completer, self.networks(sensor.kind).restorer)
-
     def _agreed_fits(self, queries: Sequence[Query], geometry: TrueGeometry | None = None) -> list[Fit]:
         """All fits by the images of some queries about one part, the best first."""
         images = [fits_in(self.scene(query, geometry), self.all_clearances) for query in queries]
@@ -148,13 +131,6 @@ def _part_completer(stem: Path | None) -> PartCompleter | None:
     from kit1000.perception.completion.parts import PartCompleter
 
     return PartCompleter(stem)
-
-
-@lru_cache(maxsize=2)
-def _kit_completer(stem: Path) -> KitCompleter:
-    from kit1000.perception.completion.kits import KitCompleter
-
-    return KitCompleter(stem)
 
 
 @lru_cache(maxsize=2)

@@ -32,7 +32,6 @@ class Request:
     seed: int | None = None
     participant: int | None = None
     port: int | None = None
-    origin: tuple[str, ...] = ()
     report: bool = False
 
 
@@ -62,7 +61,7 @@ def _work(request: Request) -> None:
                 raise
             raise InputError("study: a sitting needs viser: pip install 'kit1000[edit]'") from None
         files = ParticipantFiles(request.out, plan, request.participant)
-        Sitting(files, dataset, request.port, request.origin).run()
+        Sitting(files, dataset, request.port).run()
 
 
 def _plan(request: Request) -> StudyPlan:

@@ -64,16 +64,15 @@ class Sitting:
     dataset: Dataset
     port: int | None = None
     """None for a free one."""
-    origins: tuple[str, ...] = ()
 
     def run(self) -> None:
         """Serve the pages one after another, until the end or Ctrl-C."""
         files = self.files
         sessions = files.plan.sessions(files.number)
-        with serving(self.port, self.origins) as (_, address):
+        with serving(self.port) as (_, address):
             port = int(address.rpartition(":")[2])
         print(f"{address}  participant {files.number} (Ctrl-C ends; the same command continues)", flush=True)
-        pages = Sitting(files, self.dataset, port, self.origins)
+        pages = Sitting(files, self.dataset, port)
         pages.consent()
         for session in sessions:
             pages.condition(session)
@@ -85,7 +84,7 @@ class Sitting:
         if path.is_file():
             self.files.read(path, Participation)
             return
-        with serving(self.port, self.origins) as (server, _):
+        with serving(self.port) as (server, _):
             ask_consent(server)
         consent = Consent(CONSENT_VERSION, round(time.time(), DECIMALS))
         versions = {"kit1000": __version__, "python": platform.python_version(), "machine": platform.machine()}
@@ -102,14 +101,14 @@ class Sitting:
             if not path.is_file():
                 files.write(path, TaskPage(self, session, task).run())
         if not (folder / RATINGS_FILE).is_file():
-            with serving(self.port, self.origins) as (server, _):
+            with serving(self.port) as (server, _):
                 ratings = ask_ratings(server, session.condition.label)
             files.write(folder / RATINGS_FILE, files.record(RatingsRecord, ratings=ratings))
 
     def close(self) -> None:
         """Ask the last question once, and say goodbye."""
         path = self.files.folder / CLOSING_FILE
-        with serving(self.port, self.origins) as (server, _):
+        with serving(self.port) as (server, _):
             if not path.is_file():
                 preferred = ask_preference(server, self.files.plan.conditions)
                 self.files.write(path, self.files.record(Closing, preferred=preferred))
@@ -149,7 +148,6 @@ class TaskPage:
             plan.snap if condition.snaps else NO_SNAP,
             self.sitting.port,
             interface=condition.interface,
-            origins=self.sitting.origins,
         )
         earlier = EventLog(options.out, options.header(dataset.id)).rows
         with (

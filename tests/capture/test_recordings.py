@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
+from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
 from kit1000.capture.depth_frames import metric_depth
@@ -34,7 +36,7 @@ def test_a_bag_is_read_with_its_intrinsics(tmp_path: Path, name: str) -> None:
     known = frame.intrinsics
     assert known is not None
     assert (known.fx, known.fy, known.cx, known.cy) == (CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy)
-    assert known.stream == "raw"
+    assert (known.stream, known.source) == ("raw", f"{tmp_path / 'bag.mcap'} {FOLDER}/camera_info")
 
 
 def test_rows_may_be_padded(tmp_path: Path) -> None:
@@ -87,7 +89,6 @@ REFUSED: dict[str, tuple[list[tuple[str, dict[str, Any]]], str]] = {
     "two topics": ([(RECT, image()), ("/other/depth", image()), CALIBRATED], "2 depth topics"),
     "another frame": ([(f"{FOLDER}/camera_info", info(header=stamped("colour"))), (RECT, image())], "another stream"),
     "not calibrated": ([(f"{FOLDER}/camera_info", info(k=[0.0] * 9)), (RECT, image())], "not calibrated"),
-    "binned": ([(f"{FOLDER}/camera_info", info(binning_x=2)), (RECT, image())], "binned 2 times"),
     "short": ([CALIBRATED, (RECT, image(data=b"1234"))], "4 bytes for 640 x 480"),
     "narrow steps": ([CALIBRATED, (RECT, image(step=8))], "steps of 8"),
     "rvl": ([CALIBRATED, (f"{RECT}/compressedDepth", compressed(form="16UC1; compressedDepth rvl"))], "RVL"),
@@ -154,3 +155,72 @@ def test_a_huge_file_is_not_loaded(tmp_path: Path) -> None:
         file.truncate(1 << 36)  # sparse: it takes no disk
     with pytest.raises(InputError, match="damaged or cut off"):
         read(path)
+
+
+DISTORTED = info(d=[-0.22, 0.08, 0.001, -0.0008, 0.0], p=[500.0, 0, 320, 0, 0, 501, 240, 0, 0, 0, 1, 0])
+
+
+@pytest.mark.parametrize(("topic", "focal"), [("/depth/image_rect", 500.0), ("/depth/image_raw", CAMERA.fx)])
+def test_rectified_images_have_the_matrix_p_and_no_distortion(tmp_path: Path, topic: str, focal: float) -> None:
+    (frame,) = read(bag(tmp_path / "bag.mcap", ("/depth/camera_info", DISTORTED), (topic, image())))
+    assert frame.intrinsics is not None
+    assert frame.intrinsics.fx == focal
+    assert frame.intrinsics.distorted == (focal == CAMERA.fx)
+
+
+def test_a_name_that_leaves_rectification_open_is_refused_with_both_readings(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"fx 500\.0"):
+        read(bag(tmp_path / "bag.mcap", ("/depth/camera_info", DISTORTED), ("/depth/image", image())))
+
+
+def test_a_calibration_belongs_to_a_topic_by_its_name(tmp_path: Path) -> None:
+    for name in ("/rgb/camera_info", "/rgb_camera_info"):
+        with pytest.raises(InputError, match=f"the recording has {name}"):
+            read(bag(tmp_path / "bag.mcap", (name, info()), ("/depth", image())))
+
+
+def test_a_recording_without_chunks_is_whole(tmp_path: Path) -> None:
+    path = bag(tmp_path / "bag.mcap", CALIBRATED, (RECT, image()))
+    rewritten(path, tmp_path / "plain.mcap", use_chunking=False)
+    np.testing.assert_array_equal(read(tmp_path / "plain.mcap")[0].values, DEPTH)
+
+
+def test_messages_without_a_schema_are_named(tmp_path: Path) -> None:
+    with open(tmp_path / "bare.mcap", "wb") as out:
+        writer = McapWriter(out)
+        writer.start()
+        channel = writer.register_channel("/depth", "cdr", 0)
+        writer.add_message(channel, 1, b"1234", 1)
+        writer.finish()
+    with pytest.raises(InputError, match="/depth: messages without a schema"):
+        read(tmp_path / "bare.mcap")
+
+
+@pytest.mark.parametrize("encoding", ["ros1", "json", "cdr"])
+def test_other_encodings_are_named_and_not_called_damaged(tmp_path: Path, encoding: str) -> None:
+    path = bag(tmp_path / "bag.mcap", CALIBRATED, (RECT, image()))
+    rewritten(path, tmp_path / "other.mcap", message_encoding=encoding, schema_encoding="ros2idl")
+    with pytest.raises(InputError, match="expected cdr with ros2msg, or protobuf"):
+        read(tmp_path / "other.mcap")
+
+
+def rewritten(
+    source: Path,
+    target: Path,
+    use_chunking: bool = True,
+    message_encoding: str | None = None,
+    schema_encoding: str | None = None,
+) -> None:
+    """Write the messages of a recording in another way."""
+    with open(source, "rb") as file, open(target, "wb") as out:
+        writer = McapWriter(out, use_chunking=use_chunking, compression=CompressionType.NONE)
+        writer.start("ros2")
+        channels: dict[int, int] = {}
+        for schema, channel, message in make_reader(file).iter_messages():
+            assert schema is not None
+            if channel.id not in channels:
+                number = writer.register_schema(schema.name, schema_encoding or schema.encoding, schema.data)
+                encoding = message_encoding or channel.message_encoding
+                channels[channel.id] = writer.register_channel(channel.topic, encoding, number)
+            writer.add_message(channels[channel.id], message.log_time, message.data, message.publish_time)
+        writer.finish()

@@ -111,7 +111,7 @@ WRONG = {  # by what is typed: facts of the answer
     "kit {files}/good.stl --out {tmp}/out --clearance-mm 0": "--clearance-mm: expected 0.05 to 1000, got 0",
     "kit {files}/good.stl --out {tmp}/out --clearance-mm nan": "--clearance-mm: expected 0.05 to 1000, got nan",
     "kit {files}/good.stl --out {tmp}/out --fit_mm -4": "--fit-mm: expected 0.05 to 1000, got -4",
-    "kit {files}/good.stl --out {tmp}/out --bodies all": "--bodies|'all'|'union', 'largest', 'each'",
+    "kit {files}/good.stl --out {tmp}/out --bodies all": "--bodies|'all'|'union', 'largest'",
     "info {tmp}": "{tmp}: no dataset (no dataset.json in it)",
     "info {tmp}/none": "{tmp}/none: no dataset (there is no such folder)",
     "show {tmp}": "{tmp}: no dataset (no dataset.json in it)",
@@ -189,18 +189,6 @@ def test_an_inexact_kit_ends_with_status_1_and_one_line(
     assert (out, err.count("\n")) == ("", 1)
     assert err.startswith(f"kit1000: {files}/good.stl: the part does not seat at a goal of its kit; nothing is written")
     assert not (tmp_path / "out").exists()
-
-
-def test_each_body_of_a_file_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    one, thin = l_shape(), l_shape().scaled(0.002)
-    vertices = np.concatenate([one.vertices, thin.vertices + 0.1])
-    both = Mesh(vertices, np.concatenate([one.faces, thin.faces + len(one.vertices)]))
-    line = ["kit", str(write_stl(tmp_path / "two.stl", both)), "--out", str(tmp_path / "out"), "--bodies", "each"]
-    assert main([*line, "--no-preview"]) == 1
-    out, err = capsys.readouterr()
-    assert out.endswith(f"files      {tmp_path / 'out' / '01'}\n")
-    assert err.startswith(f"kit1000: {tmp_path}/two.stl: body 2 of 2: 0.08 mm long, less than the clearance of 2.5 mm")
-    assert err.count("\n") == 1
 
 
 @pytest.mark.usefixtures("fake_scenes")

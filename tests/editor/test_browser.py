@@ -205,7 +205,7 @@ def test_a_part_is_dragged_after_its_known_shape_has_replaced_what_was_seen(
     found = {part: FoundShape("known", mesh, ()) for part, mesh in true.meshes.items()}
     with editing(Options(mini, scene_id, tmp_path)) as (controller, address):
         page = visit(address)
-        controller.completed(Completion(None, shapes=FoundShapes(FoundShape("kits", true.kits, ()), found)))
+        controller.completed(Completion(FoundShapes(FoundShape("kits", true.kits, ()), found)))
         ready(controller, page)
         space, part = controller.space, controller.space.scene.parts[0]
         page.get_by_text("known").first.wait_for(timeout=1000 * PATIENCE_S)

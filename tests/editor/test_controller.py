@@ -13,7 +13,7 @@ import pytest
 from kit1000.camera import look_at
 from kit1000.cli import main
 from kit1000.editor.controller import Controller
-from kit1000.editor.display import FIELD, HIDDEN_KITS, KITS, body_node, ghost_node
+from kit1000.editor.display import FIELD, KITS, body_node, ghost_node
 from kit1000.editor.keys import KEYS, help_text
 from kit1000.editor.pointing import Eye
 from kit1000.editor.proposals import Proposal, distinct
@@ -25,7 +25,6 @@ from kit1000.editor.texts import LIKELY_COLOUR, SURE_COLOUR, UNSURE_COLOUR, conf
 from kit1000.editor.worker import Completion, Job, Result
 from kit1000.errors import InputError
 from kit1000.known_shapes.predictor import FoundShape, FoundShapes
-from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.submission import read_submission
 from tests.samples.editing import EYE, FakeStage, answered, desk, dragged, found, goal, header_of, off, scene_of
@@ -101,15 +100,13 @@ def test_closing_and_opening_again_loses_nothing(scene: EditedScene, tmp_path: P
     assert [json.loads(line)["event"] for line in (tmp_path / FILE).read_text().splitlines()][-2:] == ["undo", "redo"]
 
 
-def test_letting_go_near_a_fit_takes_it_unless_that_is_switched_off(scene: EditedScene, tmp_path: Path) -> None:
+def test_letting_go_near_a_fit_takes_it(scene: EditedScene, tmp_path: Path) -> None:
     table, part = desk(scene, tmp_path), scene.parts[0]
     point = scene.plates[0].point
     dragged(table, part, point)
     found(table, part, (table.controller.space.current[part].goal_from_now, 0.7))
-    for lets_go, state in ((False, "free"), (True, "snapped")):
-        table.controller.take_by_letting_go(lets_go)
-        dragged(table, part, np.array([0.0, -0.2, 0.0]))
-        dragged(table, part, point)
+    for place, state in ((np.array([0.0, -0.2, 0.0]), "free"), (point, "snapped")):
+        dragged(table, part, place)
         assert table.controller.space.session.edits[part].state == state
 
 
@@ -279,7 +276,6 @@ def test_a_session_with_true_shapes_says_so_everywhere(mini: Path, tmp_path: Pat
     scene = scene_of(mini, truth=True)
     table, part = desk(scene, tmp_path), scene.parts[0]
     table.controller.place(part, goal(scene, part))
-    assert "By the shapes it stands on the kit." in table.stage.texts["fit"]
     table.controller.command("confirm")
     assert all(json.loads(line)["truth"] for line in (tmp_path / FILE).read_text().splitlines())
     manifest = read_submission(tmp_path).manifest
@@ -297,17 +293,6 @@ def test_failures_of_a_method_are_said_without_markup(scene: EditedScene, tmp_pa
     assert plain("<script>`a`|#") == "scripta"
 
 
-def test_completed_kits_are_shown_beside_the_seen_ones_and_hidden_with_them(scene: EditedScene, tmp_path: Path) -> None:
-    table, mesh = desk(scene, tmp_path / "out"), Mesh(np.eye(3), np.array([[0, 1, 2]], np.int32))
-    table.controller.command("hide-kits")
-    table.controller.completed(Completion(mesh))
-    assert table.stage.meshes[HIDDEN_KITS] is mesh
-    assert table.stage.colours[HIDDEN_KITS] != table.stage.colours[KITS]
-    assert {KITS, HIDDEN_KITS} <= table.stage.hidden
-    table.controller.command("hide-kits")
-    assert not {KITS, HIDDEN_KITS} & table.stage.hidden
-
-
 def test_known_shapes_replace_what_is_seen_and_doubts_are_marked(
     scene: EditedScene, mini: Path, tmp_path: Path
 ) -> None:
@@ -315,7 +300,7 @@ def test_known_shapes_replace_what_is_seen_and_doubts_are_marked(
     true = scene_of(mini, truth=True)
     part_mesh, kits = true.meshes[part], FoundShape("kits", true.kits, ("the scale is open",))
     table.controller.command(f"select-{part + 1}")
-    table.controller.completed(Completion(None, shapes=FoundShapes(kits, {part: FoundShape("tee", part_mesh, ())})))
+    table.controller.completed(Completion(FoundShapes(kits, {part: FoundShape("tee", part_mesh, ())})))
     meshes = table.stage.meshes
     assert meshes[KITS] is true.kits
     assert meshes[body_node(part)] is meshes[ghost_node(part)] is part_mesh
@@ -328,7 +313,6 @@ def test_known_shapes_replace_what_is_seen_and_doubts_are_marked(
         assert "?" in line
         assert "?" in table.stage.labels[f"/name/{other}"]
     table.controller.place(part, goal(scene, part))
-    assert "By the shapes it stands on the kit." in table.stage.texts["fit"]
     table.controller.command("confirm")
     assert table.controller.space.session.edits[part].confirmed
 
@@ -336,7 +320,7 @@ def test_known_shapes_replace_what_is_seen_and_doubts_are_marked(
 def test_sessions_with_and_without_shapes_are_not_mixed(scene: EditedScene, tmp_path: Path) -> None:
     header = replace(header_of(scene), shapes=True)
     log = EventLog(tmp_path, header)
-    table = Controller(scene, FakeStage(), log, None)
+    table = Controller(scene, stage := FakeStage(), log, None)
     part = scene.parts[0]
     table.place(part, goal(scene, part))
     table.select(part)
@@ -344,20 +328,8 @@ def test_sessions_with_and_without_shapes_are_not_mixed(scene: EditedScene, tmp_
     assert read_submission(tmp_path).manifest.reads == "shapes"
     with pytest.raises(InputError, match="shapes True, not False; choose another --out"):
         EventLog(tmp_path, header_of(scene))
-
-
-def test_where_no_kits_are_completed_the_page_is_as_before(scene: EditedScene, mini: Path, tmp_path: Path) -> None:
-    mesh = Mesh(np.eye(3), np.array([[0, 1, 2]], np.int32))
-    nothing = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
-    blind, true = (desk(each, tmp_path / name) for each, name in ((scene, "a"), (scene_of(mini, truth=True), "b")))
-    hand = desk(scene, tmp_path / "c", interface="hand")
-    for table, completion in ((blind, Completion(None)), (blind, Completion(nothing)), (true, Completion(mesh))):
-        table.controller.completed(completion)
-        assert HIDDEN_KITS not in table.stage.meshes
-    hand.controller.completed(Completion(mesh))
-    assert HIDDEN_KITS not in hand.stage.meshes
-    blind.controller.completed(Completion(None, "no [weights](x)"))
-    assert blind.stage.texts["note"] == "Only what the image shows is shown: no weights(x)"
+    table.completed(Completion(None, "no [weights](x)"))
+    assert stage.texts["note"] == "Only what the image shows is shown: no weights(x)"
 
 
 def test_colour_follows_confidence_in_three_steps() -> None:

@@ -42,7 +42,7 @@ def page(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Itera
         return SERVER(*args, label=label, **options)
 
     monkeypatch.setattr(viser, "ViserServer", server)
-    with labelling(shutil.copytree(folder, tmp_path / "labels") / "mine", None, None, ()) as (opened, address):
+    with labelling(shutil.copytree(folder, tmp_path / "labels") / "mine", None, None) as (opened, address):
         assert address.startswith("http://127.0.0.1:")
         assert titles == ["kit1000 label"]
         yield opened

@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 
 from kit1000.camera import Camera, look_at
 from kit1000.editor.dragging import levelled, rotated, slid
-from kit1000.editor.part_on_plate import Cavities
 from kit1000.editor.pointing import Eye, Pointing
-from kit1000.editor.seen import observed, seen_surface, with_skirt
+from kit1000.editor.seen import seen_surface, with_skirt
 from kit1000.editor.seen_plates import TABLE, Plate, find_plates, plates_of
 from kit1000.editor.session import distance
 from kit1000.mesh import Mesh, mesh_from_solid
@@ -213,19 +212,6 @@ def test_levelling_stands_a_tilted_part_on_its_nearest_side() -> None:
     assert np.degrees(float((level.inverse() @ Pose.from_rotvec((np.pi / 2, 0, 0))).angle())) < 1e-6
     assert abs(points[:, 2].min()) < 1e-12
     assert abs(points[:, 2].max() - 0.03) < 1e-9  # 30 mm high on its side
-
-
-@pytest.mark.parametrize(("shift", "share"), [(0.0, 0.0), (0.0125, 0.25), (0.02, 0.5), (0.038, 1.0), (0.4, 1.0)])
-@pytest.mark.parametrize("height", [0.01, -0.006])
-def test_the_share_beside_the_cavity_is_that_of_the_shifted_square(shift: float, share: float, height: float) -> None:
-    """A square of 30 mm over a cavity of 40 mm, however high: the cavity reaches 20 mm from its middle."""
-    plate = plates_of_kit()[0]
-    to_origin = Pose.from_translation((0.0, 0.15, 0.0))
-    motion = WORLD_FROM_PLATE @ Pose.from_translation((shift, 0.0, height)) @ to_origin
-    cavities, points = Cavities(seen()[1], noisy=False), observed(seen()[2])
-    assert cavities.share_beside(points, motion, plate) == pytest.approx(share, abs=0.07)
-    text = cavities.text(points, motion, plate)
-    assert ("all of it is over a cavity" in text) == (shift == 0)
 
 
 def test_a_known_shape_has_its_plates_and_not_the_floors_of_cavities_or_islands_in_them() -> None:

@@ -25,7 +25,6 @@ from kit1000.editor.worker import (
     Completion,
     Job,
     Method,
-    Prepared,
     Result,
     Worker,
     completion_of,
@@ -133,14 +132,6 @@ class Fussy:
         return [PredictedMotion(Pose.identity(), 0.5)]
 
 
-class Completing:
-    """A method that completes kits."""
-
-    def completed_kits(self, query: Query) -> Mesh:
-        assert query.guess is None
-        return Mesh(query.pivot + np.eye(3), np.array([[0, 1, 2]], np.int32))
-
-
 class Knowing:
     """A method that reads shapes."""
 
@@ -173,15 +164,6 @@ def test_a_method_that_reads_shapes_gets_those_of_the_user_or_of_the_dataset(min
     prepared.cache_clear()
 
 
-def test_a_method_completes_the_kits_of_the_scene_or_does_not(mini: Path) -> None:
-    scene = scene_of(mini)
-    made = Prepared(scene.dataset, scene.queries, Completing(), False)
-    kits = completion_of(made).kits
-    assert kits is not None
-    assert np.array_equal(kits.vertices, scene.queries[min(scene.queries)].pivot + np.eye(3))
-    assert completion_of(replace(made, predictor=keep)) == Completion(None)
-
-
 def test_any_predictor_snaps_by_the_protocol_alone(mini: Path) -> None:
     scene = scene_of(mini)
     method = Method(f"{__name__}:keep", mini, scene.recorded.id, "ideal", False)
@@ -190,6 +172,7 @@ def test_any_predictor_snaps_by_the_protocol_alone(mini: Path) -> None:
     assert same_motion(answer[0].goal_from_now, NEAR)
     assert answer[0].confidence == 0.25
     assert proposals_of(prepared(method), Job(scene.parts[0], None)) == []  # it needs a guess
+    assert completion_of(prepared(method)) == Completion(None)  # and knows no shapes
 
 
 def test_true_geometry_is_for_sessions_that_show_it(mini: Path) -> None:

@@ -24,14 +24,13 @@ from kit1000.cli.summaries import kit_report_text
 from kit1000.dataset.mesh_files import read_glb
 from kit1000.errors import InputError
 from kit1000.export import own_part
-from kit1000.export.own_part import InexactKit, KitOptions, make_kit_from_file, make_kits
+from kit1000.export.own_part import InexactKit, KitOptions, make_kit_from_file
 from kit1000.kits.clearance import Clearance
 from kit1000.kits.height_fields import RELIEF_CELLS, lower_envelope, polar_relief
 from kit1000.kits.kit import design_kit, insertion_faces
 from kit1000.kits.kit_trials import NOT_SEATED, Attempt, PairCheck
 from kit1000.mesh import Mesh, body_count, defect_float32, mesh_from_solid, solid_from_mesh
 from kit1000.parts.family import part_of_mesh
-from kit1000.parts.files import part_mesh
 from kit1000.parts.files.read import mesh_files, read_triangles
 from kit1000.pictures import previews
 from tests.samples.mini import file_hashes, l_shape, write_stl
@@ -46,12 +45,6 @@ def read(path: Path) -> Mesh:
     """An STL in its own unit, equal vertices merged."""
     soup = read_triangles(path)
     return Mesh(soup.vertices, soup.faces).merged()
-
-
-def each_body(path: Path, out: Path) -> dict[str, Any]:
-    """The reports of the kits of all bodies of a file."""
-    (reports,) = make_kits([path], out, KitOptions(unit="mm", bodies="each"), workers=1)
-    return reports
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -157,9 +150,12 @@ def test_an_interrupted_run_leaves_complete_files_and_no_report(
         patch.setattr(os, "replace", stopping)
         with pytest.raises(KeyboardInterrupt):
             make_kit_from_file(part, folder)
-    expected = {name: whole[name] if name in ("kit.stl", "part.stl") else earlier[name] for name in FILES}
     left_over = {name: digest for name, digest in file_hashes(folder).items() if not name.startswith(".")}
-    assert left_over == {name: digest for name, digest in expected.items() if name != "report.json"}
+    assert left_over == {
+        "kit.stl": whole["kit.stl"],
+        "part.stl": earlier["part.stl"],
+        "seated.glb": earlier["seated.glb"],
+    }
     make_kit_from_file(part, folder)
     assert file_hashes(folder) == whole
 
@@ -234,9 +230,6 @@ def stl_of(path: Path, *solids: Manifold) -> Path:
 
 CUBE = Manifold.cube((0.03, 0.03, 0.03))
 STUD = Manifold.cube((0.012, 0.012, 0.02))
-PLATE_OF_FIVE = [
-    Manifold.cube((0.02 + 0.004 * i, 0.02, 0.012)).translate((0.05 * i, 0.0, 0.0)) for i in (2, 0, 4, 1, 3)
-]
 TURN = (31, 22, 17)
 TOGETHER = {
     "overlapping": [CUBE, CUBE.translate((0.02, 0.01, 0.005))],
@@ -261,9 +254,9 @@ def test_bodies_that_touch_or_overlap_are_united(name: str, tmp_path: Path) -> N
 def test_bodies_apart_are_refused_with_the_way_out(tmp_path: Path) -> None:
     path = stl_of(tmp_path / "two.stl", *APART)
     several = r"two\.stl: 2 separate bodies \(66%, 34% of the volume\)"
-    with pytest.raises(InputError, match=several + "; choose --bodies union .*, largest, or each"):
+    with pytest.raises(InputError, match=several + "; choose --bodies union .*largest, or a file of each"):
         make_kit_from_file(path, tmp_path / "out")
-    with pytest.raises(InputError, match=several + ", which neither touch.*; choose --bodies largest, or each"):
+    with pytest.raises(InputError, match=several + ", which neither touch.*; choose --bodies largest, or a file"):
         make_kit_from_file(path, tmp_path / "out", KitOptions(bodies="union"))
     assert not (tmp_path / "out").exists()
     made = make_kit_from_file(path, tmp_path / "out", KitOptions(unit="mm", bodies="largest"))
@@ -271,39 +264,11 @@ def test_bodies_apart_are_refused_with_the_way_out(tmp_path: Path) -> None:
     assert made["repairs"] == ["kept the largest of 2 bodies (66.1% of the volume)"]
 
 
-def test_each_body_of_a_plate_gets_its_kit_largest_first(tmp_path: Path) -> None:
-    path = stl_of(tmp_path / "plate.stl", *PLATE_OF_FIVE)
-    made = each_body(path, tmp_path / "out")
-    assert sorted(os.listdir(tmp_path / "out")) == ["01", "02", "03", "04", "05", "report.json"]
-    assert json.loads((tmp_path / "out/report.json").read_bytes()).keys() == made.keys()
-    for i, (name, report) in enumerate(made.items()):
-        assert not isinstance(report, str)
-        assert report["size_mm"] == pytest.approx([36 - 4 * i, 20, 12], abs=1e-3)
-        assert report["repairs"] == [f"body {i + 1} of 5"]
-        assert sorted(os.listdir(tmp_path / "out" / name)) == FILES
-
-
-def test_a_body_without_a_kit_leaves_those_of_the_others(tmp_path: Path) -> None:
-    film = Manifold.cube((0.03, 0.03, 0.00005)).translate((0.1, 0, 0))
-    made = each_body(stl_of(tmp_path / "two.stl", CUBE, film), tmp_path / "out")
-    assert isinstance(made["01"], dict)
-    assert all(fact in str(made["02"]) for fact in ("two.stl: body 2 of 2: ", "0.05 mm high"))
-    assert sorted(os.listdir(tmp_path / "out")) == ["01", "report.json"]
-
-
 def test_voids_stay_with_their_body(tmp_path: Path) -> None:
     hollow = CUBE - Manifold.cube((0.01, 0.01, 0.01)).translate((0.01, 0.01, 0.01))
     path = stl_of(tmp_path / "two.stl", hollow, STUD.translate((0.05, 0, 0)))
-    made = each_body(path, tmp_path / "out")
-    volumes = [report["volume_mm3"] for report in made.values() if isinstance(report, dict)]
-    assert volumes == pytest.approx([26000, 2880], rel=1e-5)
-
-
-def test_too_many_bodies_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(part_mesh, "MAX_BODIES", 4)
-    with pytest.raises(InputError, match=r"plate\.stl: 5 separate bodies, more than 4"):
-        each_body(stl_of(tmp_path / "plate.stl", *PLATE_OF_FIVE), tmp_path / "out")
-    assert not (tmp_path / "out").exists()
+    made = make_kit_from_file(path, tmp_path / "out", KitOptions(unit="mm", bodies="largest"))
+    assert made["volume_mm3"] == pytest.approx(26000, rel=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -388,41 +353,30 @@ def test_written_meshes_stay_closed_where_rounding_would_open_them(width: float,
 
 
 def test_the_part_itself_is_never_replaced(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    part = write_stl(tmp_path / "part.stl", l_shape())
-    before = part.read_bytes()
-    monkeypatch.chdir(tmp_path)
-    for out in (".", str(tmp_path), "../" + tmp_path.name):
-        assert main(["kit", "part.stl", "--out", out]) == 2
-        assert "part.stl: is not of an earlier run" in capsys.readouterr().err
-    assert [path.name for path in tmp_path.iterdir()] == ["part.stl"]
-    assert part.read_bytes() == before
+    monkeypatch.chdir(shutil.copytree(out, tmp_path / "out"))
+    before = file_hashes(tmp_path)
+    for folder in (".", str(tmp_path / "out"), "../out"):
+        assert main(["kit", "part.stl", "--out", folder]) == 2
+        assert "--out: is the folder of the part, which would be replaced" in capsys.readouterr().err
+    assert file_hashes(tmp_path) == before
 
 
-@pytest.mark.parametrize("name", [*FILES, "notes.txt", "01/kit.stl"])
-@pytest.mark.parametrize("beside_a_kit", [False, True])
+@pytest.mark.parametrize("name", ["part.stl", "notes.txt", "01/kit.stl"])
+@pytest.mark.parametrize("count", [1, 2])
 def test_a_file_of_another_origin_stays(
-    name: str, beside_a_kit: bool, out: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    name: str, count: int, out: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "out"
-    if beside_a_kit:
-        shutil.copytree(out, folder)
-    (folder / name).parent.mkdir(parents=True, exist_ok=True)
+    (folder / name).parent.mkdir(parents=True)
     (folder / name).write_text('{"mine": 1}')
     before = file_hashes(folder)
-    assert main(["kit", str(out.parent / "corner.stl"), "--out", str(folder)]) == 2
+    assert main(["kit", *[str(out.parent / "corner.stl")] * count, "--out", str(folder)]) == 2
     said = capsys.readouterr().err
-    assert "is not of an earlier run of this command: it stays; choose another --out" in said
+    assert "is not empty and was not written by this command: choose another --out" in said
     assert said.count("\n") == 1
     assert file_hashes(folder) == before
-
-
-def test_a_report_that_was_changed_is_not_of_a_run(out: Path, tmp_path: Path) -> None:
-    shutil.copytree(out, tmp_path / "out")
-    path = tmp_path / "out/report.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | {"note": "mine"}))
-    assert main(["kit", str(out.parent / "corner.stl"), "--out", str(tmp_path / "out")]) == 2
 
 
 def test_the_folder_of_an_earlier_run_is_written_again(out: Path, tmp_path: Path) -> None:
@@ -433,17 +387,6 @@ def test_the_folder_of_an_earlier_run_is_written_again(out: Path, tmp_path: Path
     assert sorted(file_hashes(folder)) == sorted([*FILES, ".DS_Store"])
     make_kit_from_file(part, folder, KitOptions(preview=False))
     assert not (folder / "preview.png").exists()  # that of the earlier run would show another kit
-
-
-@pytest.mark.parametrize("bodies", [None, "each"])
-def test_reports_of_several_kits_replace_their_own_alone(bodies, out: Path, tmp_path: Path) -> None:
-    files = [out.parent / "corner.stl"] * (1 if bodies else 2)
-    for _ in range(2):
-        list(make_kits(files, tmp_path, KitOptions(bodies=bodies), 1))
-    (tmp_path / "report.json").write_text('{"mine": 1}')
-    with pytest.raises(InputError, match=r"report\.json: is not of an earlier run"):
-        list(make_kits(files, tmp_path, KitOptions(bodies=bodies), 1))
-    assert (tmp_path / "report.json").read_text() == '{"mine": 1}'
 
 
 @pytest.mark.slow

@@ -12,8 +12,6 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from kit1000.parts.files.read import MeshReading, read_bodies
-
 CORE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
 RELATIONSHIPS = (
     '<?xml version="1.0"?><Relationships xmlns="http://schemas.openxmlformats.org/package/2006/relationships">'
@@ -43,14 +41,6 @@ def written(path: Path, data: bytes) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(data)
     return path
-
-
-def readable_bodies(path: Path) -> list[MeshReading]:
-    """The bodies of a file, each of which can be a part."""
-    bodies = read_bodies(path)
-    readable = [body for body in bodies if isinstance(body, MeshReading)]
-    assert len(readable) == len(bodies)
-    return readable
 
 
 def mesh_xml(*meshes: trimesh.Trimesh) -> str:

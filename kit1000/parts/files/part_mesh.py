@@ -24,7 +24,6 @@ CROSSING_TOLERANCE = 1e-6  # [m] surfaces that pass through each other by less c
 FOLD_TOLERANCES = (2e-5, 5e-5)  # [m] tried in this order to remove small folds
 SEPARATION = 2e-6  # [m] by which surfaces that touch along an edge are moved apart
 DEVIATION_POINTS = 20_000  # vertices at which the deviation of a simplified mesh is measured
-MAX_BODIES = 100  # of one file that are made parts of their own
 Choice = Literal["union", "largest"]  # which body of several is the part
 
 
@@ -42,34 +41,8 @@ def part_mesh(solid: Manifold, notes: list[str], choice: Choice | None = None) -
         SeveralBodies: there are several, and by `choice` no single one.
         MeshRefused: a surface that passes through itself, or zero thickness.
     """
-    return _body_mesh(_single_body(united(solid, notes), notes, choice), notes)
-
-
-def body_meshes(solid: Manifold, notes: list[str]) -> list[tuple[Mesh | MeshRefused, list[str]]]:
-    """The mesh of each body of a solid, or why it has none, with all notes on it; the largest body first.
-
-    Bodies that touch or overlap are one. Raises MeshRefused when there are more than MAX_BODIES.
-    """
-    shells = united(solid, notes).decompose()
-    bodies = _by_volume([shell for shell in shells if shell.volume() > 0])
-    if not bodies:
-        raise MeshRefused("zero thickness")
-    if len(bodies) > MAX_BODIES:
-        raise MeshRefused(f"{len(bodies):,} separate bodies, more than {MAX_BODIES}")
-    meshes: list[tuple[Mesh | MeshRefused, list[str]]] = []
-    for number, body in enumerate(bodies, 1):
-        own = [*notes, f"body {number} of {len(bodies)}"]
-        try:
-            meshes.append((_body_mesh(_with_voids(body, shells), own), own))
-        except MeshRefused as refused:
-            meshes.append((refused, own))
-    return meshes
-
-
-def _body_mesh(solid: Manifold, notes: list[str]) -> Mesh:
-    solid = _simplified(solid, notes)
-    solid = _without_crossings(solid, notes)
-    return _rounded(solid, notes)
+    solid = _simplified(_single_body(united(solid, notes), notes, choice), notes)
+    return _rounded(_without_crossings(solid, notes), notes)
 
 
 def united(solid: Manifold, notes: list[str]) -> Manifold:

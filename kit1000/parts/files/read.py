@@ -25,7 +25,7 @@ from kit1000.errors import InputError, MeshRefused
 from kit1000.mesh import Mesh, z_up
 from kit1000.parts.files.file_text import check_foreign
 from kit1000.parts.files.gltf import gltf_bodies
-from kit1000.parts.files.part_mesh import Choice, body_meshes, part_mesh
+from kit1000.parts.files.part_mesh import Choice, part_mesh
 from kit1000.parts.files.polygon_files import read_obj, read_off, read_ply
 from kit1000.parts.files.repair import closed_solid
 from kit1000.parts.files.stl import read_stl
@@ -65,17 +65,6 @@ class MeshReading:
     """Distance between two coordinates that the file can tell apart; 0 if it is as fine as float64. [m]"""
 
 
-@dataclass(frozen=True)
-class Refusal:
-    """A file that cannot be a part."""
-
-    path: Path
-    reason: str
-
-
-Outcome = MeshReading | Refusal
-
-
 def read_mesh(path: str | Path, unit: str | None = None, choice: Choice | None = None) -> MeshReading:
     """Read one mesh file as a part.
 
@@ -92,18 +81,6 @@ def read_mesh(path: str | Path, unit: str | None = None, choice: Choice | None =
     """
     solid = _read_solid(Path(path), unit)
     return solid.reading(part_mesh(solid.solid, solid.notes, choice), solid.notes)
-
-
-def read_bodies(path: str | Path, unit: str | None = None) -> list[Outcome]:
-    """Read each body of a mesh file as a part, or as the reason why it cannot be one; the largest first.
-
-    Bodies that touch or overlap are one. Raises as `read_mesh` does if the whole file is refused.
-    """
-    solid = _read_solid(Path(path), unit)
-    return [
-        solid.reading(mesh, notes) if isinstance(mesh, Mesh) else Refusal(solid.path, mesh.reason)
-        for mesh, notes in body_meshes(solid.solid, solid.notes)
-    ]
 
 
 def read_triangles(path: Path) -> TriangleSoup:

@@ -16,7 +16,7 @@ from kit1000.errors import MeshRefused
 from kit1000.mesh import Mesh
 from kit1000.parts.files.read import read_mesh, read_triangles
 from kit1000.parts.files.triangles import decimal_step, polygons_as_triangles
-from tests.samples.foreign_files import readable_bodies, written
+from tests.samples.foreign_files import written
 
 BOX = trimesh.creation.box((40, 20, 10))
 BINARY = stl_bytes(Mesh(BOX.vertices * 1e-3, BOX.faces))
@@ -81,8 +81,9 @@ def test_bytes_besides_the_facets_are_noted(data: bytes, note: str, tmp_path: Pa
 @pytest.mark.parametrize("between", ["", "\n", "\n# vertex 1 2 3\n"])
 def test_several_solids_are_several_bodies(between: str, tmp_path: Path) -> None:
     for text in (TEXT + between + FAR, " ".join((TEXT + FAR).split()), TEXT + FAR.partition("\n")[2]):
-        bodies = readable_bodies(written(tmp_path / "two.stl", text.encode()))
-        assert [body.mesh.volume * 1e9 for body in bodies] == pytest.approx([8000, 8000])
+        reading = read_mesh(written(tmp_path / "two.stl", text.encode()), choice="largest")
+        assert reading.mesh.volume * 1e9 == pytest.approx(8000)
+        assert "kept the largest of 2 bodies" in reading.notes[-1]
 
 
 OUTLINE = np.array([(0, 0), (40, 0), (40, 8), (25, 8), (20, 15), (8, 15), (8, 30), (0, 30)], dtype=float)
