@@ -15,7 +15,7 @@ from kit1000.queries.tracks import ALL_TRACKS, CURVES
 from kit1000.submission import manifest as manifests
 from kit1000.submission import predictions as prediction_files
 from kit1000.submission.conventions import convention_faults
-from kit1000.submission.faults import MOST_KEPT, Fault, FaultList, Report, file_error, file_warning, listed, printable
+from kit1000.submission.faults import MOST_KEPT, Fault, Report, file_error, file_warning, listed, printable
 from kit1000.submission.manifest import Manifest, line_of, parse_manifest
 from kit1000.submission.predictions import ID_PATTERN, Rows, read_rows
 from kit1000.submission.reading import read_text
@@ -31,7 +31,7 @@ CHECKSUM_2_0_0 = "574db3e1a06a759aa59d14b97c336797ce5103ef00e57fbebf4075a77f17ac
 def check(path: str | Path, data: str | Path | None = None, split: str = "test") -> Report:
     """Find the faults of a submission folder, or of a predictions file alone.
 
-    All are counted; the report holds the first thousand errors and warnings.
+    The report holds the first thousand errors.
 
     Args:
         path: the folder with manifest.toml and predictions.csv, or one predictions file.
@@ -42,15 +42,13 @@ def check(path: str | Path, data: str | Path | None = None, split: str = "test")
     Raises:
         InputError: if the dataset cannot be read. The submission may be anything.
     """
-    path, form = Path(path), FaultList()
+    path, form = Path(path), list[Fault]()
     manifest = _read_manifest(path, form) if _is_folder(path) else None
     rows = _read_rows(path, form)
-    of_rows = FaultList() if rows is None else rows.faults()
+    of_rows = [] if rows is None else rows.faults()
     expected = None if data is None else _read_expected(Path(data), split, rows)
-    if expected is not None:
-        form.kept = [_naming_dataset(fault, expected) for fault in form.kept]
     if expected is not None and manifest is not None:
-        form.add(_dataset_faults(manifest, expected, path / manifests.FILE))
+        form.extend(_dataset_faults(manifest, expected, path / manifests.FILE))
     if rows is not None:
         _check_rows(rows, manifest, expected, form)
     return Report.of(path, form, of_rows, 0 if rows is None else len(rows), expected is not None)
@@ -63,27 +61,27 @@ def _is_folder(path: Path) -> bool:
         return False
 
 
-def _read_manifest(folder: Path, form: FaultList) -> Manifest | None:
+def _read_manifest(folder: Path, form: list[Fault]) -> Manifest | None:
     """The manifest of a folder; its faults are added to `form`."""
     text = read_text(folder / manifests.FILE, manifests.FILE, folder)
     manifest, faults = parse_manifest(text, manifests.FILE)
-    form.add(faults)
+    form.extend(faults)
     return manifest
 
 
-def _read_rows(path: Path, form: FaultList) -> Rows | None:
+def _read_rows(path: Path, form: list[Fault]) -> Rows | None:
     """The rows of a folder or of a predictions file; faults of the file and its header are added to `form`."""
     file, inside = printable(path), None
     if _is_folder(path):
         path, file, inside = path / prediction_files.FILE, prediction_files.FILE, path
     elif path.name == manifests.FILE:
         expected, repair = "the folder of a submission, or its predictions file", "give the folder that contains it"
-        form.add([file_error(file, "manifest-only", "is only the manifest", expected, repair)])
+        form.append(file_error(file, "manifest-only", "is only the manifest", expected, repair))
         return None
     text = read_text(path, file, inside)
     rows = text if isinstance(text, Fault) else read_rows(text, file)
     if isinstance(rows, Fault):
-        form.add([rows])
+        form.append(rows)
         return None
     return rows
 
@@ -94,18 +92,16 @@ def _read_expected(data: Path, split: str, rows: Rows | None) -> ExpectedQueries
     return read_expected_queries(data, split, () if rows is None else rows.query_ids)
 
 
-def _check_rows(rows: Rows, manifest: Manifest | None, expected: ExpectedQueries | None, form: FaultList) -> None:
+def _check_rows(rows: Rows, manifest: Manifest | None, expected: ExpectedQueries | None, form: list[Fault]) -> None:
     """Add the faults of ids and of all rows together."""
     tracks = None if manifest is None else manifest.tracks
-    form.add(_line_end_faults(rows))
-    form.add_all(rows.duplicates())
+    form += [*_line_end_faults(rows), *rows.duplicates()]
     if expected is None:
-        form.add([*_id_format_faults(rows), *_track_faults(rows, tracks)])
+        form.extend(_track_faults(rows, tracks))
     else:
-        form.add_all(_unknown_ids(rows, expected))
-        form.add(coverage_faults(rows, tracks, expected))
+        form += [*_unknown_ids(rows, expected), *coverage_faults(rows, tracks, expected)]
     rotation_only = manifest is not None and manifest.predicts == "rotation"
-    form.add(convention_faults(rows, expected, rotation_only))
+    form.extend(convention_faults(rows, expected, rotation_only))
 
 
 def _line_end_faults(rows: Rows) -> Iterator[Fault]:
@@ -114,11 +110,6 @@ def _line_end_faults(rows: Rows) -> Iterator[Fault]:
     if rows.text[-1].strip():
         actual, repair = "the last line has no line end", "check that its last number is complete"
         yield Fault(rows.file, len(rows.text), "no-line-end", actual, "a line end after every row", repair, "warning")
-
-
-def _naming_dataset(fault: Fault, expected: ExpectedQueries) -> Fault:
-    """The fault; if a field dataset_id is missing, its repair names the id of the given dataset."""
-    return replace(fault, repair=fault.repair.replace(manifests.EXAMPLE_ID, expected.dataset_id))
 
 
 def _dataset_faults(manifest: Manifest, expected: ExpectedQueries, path: Path) -> Iterator[Fault]:
@@ -147,28 +138,11 @@ def _dataset_faults(manifest: Manifest, expected: ExpectedQueries, path: Path) -
             yield fault("tracks", "unknown-track", actual, expectation, f"delete {track}")
 
 
-def _id_format_faults(rows: Rows) -> Iterator[Fault]:
-    """A warning of ids without the format of a dataset of kit1000."""
-    unusual = [query_id for query_id in rows.query_ids if ID_PATTERN.match(query_id) and not _track_of(query_id)]
-    if unusual:
-        actual = printable(f"{len(unusual)} ids have an unusual format ({listed(unusual, len(unusual))})"[:300])
-        repair = "copy the ids from the dataset"
-        yield file_warning(rows.file, "unusual-ids", actual, "ids such as test-s0007-p2-snap", repair)
-
-
-def _unknown_ids(rows: Rows, expected: ExpectedQueries) -> FaultList:
+def _unknown_ids(rows: Rows, expected: ExpectedQueries) -> list[Fault]:
     """Ids that the dataset does not have; an invalid id is a fault of its row instead."""
     unknown = [i for i, name in enumerate(rows.query_ids) if ID_PATTERN.match(name) and name not in expected.index]
-
-    def fault(i: int) -> Fault:
-        closest = expected.closest_id(rows.query_ids[i])
-        other = "delete the row, or check against the dataset of the predictions"
-        repair = f"did you mean {closest}?" if closest else other
-        return rows.fault(i, "query_id", "unknown-id", "the id of a query of this dataset", repair)
-
-    faults = FaultList()
-    faults.add(map(fault, unknown[:MOST_KEPT]), len(unknown))
-    return faults
+    known, repair = "the id of a query of this dataset", "copy the id, or check against the dataset of the predictions"
+    return [rows.fault(i, "query_id", "unknown-id", known, repair) for i in unknown[:MOST_KEPT]]
 
 
 def _track_faults(rows: Rows, listed_tracks: Iterable[str] | None) -> Iterator[Fault]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
@@ -49,17 +48,9 @@ class ExpectedQueries:
         """The index of each query id."""
         return {query_id: i for i, query_id in enumerate(self.query_ids)}
 
-    @cached_property
-    def _by_normal_id(self) -> dict[str, str]:
-        return {_normal_id(query_id): query_id for query_id in self.query_ids}
-
     def scene_part(self, i: int) -> str:
         """Scene and part of a query: test-s0007-p2."""
         return "-".join(self.query_ids[i].split("-")[:3])
-
-    def closest_id(self, query_id: str) -> str | None:
-        """The query id that differs only in case, hyphens or zeros; None if there is none."""
-        return self._by_normal_id.get(_normal_id(query_id))
 
 
 def read_expected_queries(data: Path, split: str, query_ids: Iterable[str]) -> ExpectedQueries:
@@ -145,8 +136,3 @@ def _read_guesses(queries: list[Query], pivots: np.ndarray) -> tuple[np.ndarray,
         if query.guess is None and (query.scene_id, query.part) in by_part:
             positions[i] = positions[by_part[query.scene_id, query.part]]
     return positions, rotations
-
-
-def _normal_id(query_id: str) -> str:
-    """An id in lower case, with single hyphens and without leading zeros, for comparison."""
-    return re.sub(r"(?<=[a-z])0+(?=\d)", "", re.sub(r"[\s_./-]+", "-", query_id[:100].lower()))

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 LONGEST_VALUE = 60  # characters of a value in a message; longer values are shortened
 LISTED = 3  # ids in a message; the others are counted
-MOST_KEPT = 1000  # errors, and warnings, in a report; the others are counted, so that no file makes a report large
+MOST_KEPT = 1000  # errors of a report; no file makes it larger
 MOST_PRINTED = 20  # faults of a report as text
 
 
@@ -46,43 +46,6 @@ def file_warning(file: str, code: str, actual: str, expected: str, repair: str) 
     return Fault(file, None, code, actual, expected, repair, "warning")
 
 
-@dataclass
-class FaultList:
-    """Faults in any order. All are counted; a caller that finds thousands adds only the first MOST_KEPT."""
-
-    kept: list[Fault] = field(default_factory=list)
-    errors: int = 0
-    warnings: int = 0
-
-    def add(self, faults: Iterable[Fault], errors: int | None = None) -> None:
-        """Add faults.
-
-        Args:
-            faults: errors and warnings.
-            errors: number of all errors, if `faults` holds only the first of them.
-        """
-        added = list(faults)
-        warnings = sum(fault.severity == "warning" for fault in added)
-        self.kept += added
-        self.warnings += warnings
-        self.errors += len(added) - warnings if errors is None else errors
-
-    def add_all(self, other: FaultList) -> None:
-        """Add the faults of another list."""
-        self.kept += other.kept
-        self.errors += other.errors
-        self.warnings += other.warnings
-
-    def first(self, severity: Literal["error", "warning"]) -> tuple[Fault, ...]:
-        """The first MOST_KEPT errors or warnings, by file and line."""
-        return tuple(in_order(fault for fault in self.kept if fault.severity == severity)[:MOST_KEPT])
-
-    @property
-    def first_error(self) -> Fault | None:
-        """The first error by file and line; None if there is none."""
-        return next(iter(self.first("error")), None)
-
-
 @dataclass(frozen=True)
 class Report:
     """The result of a check."""
@@ -91,26 +54,23 @@ class Report:
     errors: tuple[Fault, ...]
     """Faults that make a submission invalid, by file and line; if there are more, the first MOST_KEPT."""
     warnings: tuple[Fault, ...]
-    """Allowed, but probably not intended; limited in the same way."""
+    """Allowed, but probably not intended."""
     rows: int
     """Number of rows with all their fields."""
     against_data: bool
     """Whether ids and motions were checked against a dataset, or only the format."""
-    error_count: int
-    """Number of all errors."""
-    warning_count: int
     form_errors: tuple[Fault, ...]
     """Errors of the manifest, of the header, of ids, or of all rows together: not those of single predictions."""
 
     @classmethod
-    def of(cls, path: object, form: FaultList, of_rows: FaultList, rows: int, against_data: bool) -> Report:
+    def of(cls, path: object, form: list[Fault], of_rows: list[Fault], rows: int, against_data: bool) -> Report:
         """The report about a path, from the faults of form and of single rows."""
-        found = FaultList()
-        found.add_all(form)
-        found.add_all(of_rows)
-        counts = found.errors, found.warnings
-        shown = found.first("error"), found.first("warning")
-        return cls(printable(path), *shown, rows, against_data, *counts, form.first("error"))
+        errors, form_errors = (
+            tuple(in_order(fault for fault in faults if fault.severity == "error"))
+            for faults in ([*form, *of_rows], form)
+        )
+        warnings = in_order(fault for fault in form if fault.severity == "warning")
+        return cls(printable(path), errors[:MOST_KEPT], tuple(warnings), rows, against_data, form_errors)
 
     @property
     def faults(self) -> tuple[Fault, ...]:
@@ -120,11 +80,10 @@ class Report:
     @property
     def good(self) -> bool:
         """Whether there are no errors; there may be warnings."""
-        return not self.error_count
+        return not self.errors
 
     def __str__(self) -> str:
-        printed = in_order([*self.errors, *self.warnings][:MOST_PRINTED])
-        return "\n".join([*map(str, printed), self.summary])
+        return "\n".join([*map(str, in_order([*self.errors, *self.warnings][:MOST_PRINTED])), self.summary])
 
     @property
     def summary(self) -> str:
@@ -132,8 +91,9 @@ class Report:
         basis = (
             "against the dataset" if self.against_data else "for format only (--data DIR checks ids and motions too)"
         )
-        counts = f"{_count_of(self.error_count, 'error')}, {_count_of(self.warning_count, 'warning')}"
-        if self.error_count + self.warning_count > MOST_PRINTED:
+        more = " or more" if len(self.errors) == MOST_KEPT else ""
+        counts = f"{_count_of(len(self.errors), 'error')}{more}, {_count_of(len(self.warnings), 'warning')}"
+        if len(self.faults) > MOST_PRINTED:
             counts += f"; the first {MOST_PRINTED} are listed"
         return f"{self.path}: {_count_of(self.rows, 'row')} checked {basis}: {counts if self.faults else 'no faults'}"
 
@@ -144,8 +104,8 @@ class Report:
             "good": self.good,
             "rows": self.rows,
             "against_data": self.against_data,
-            "errors": self.error_count,
-            "warnings": self.warning_count,
+            "errors": len(self.errors),
+            "warnings": len(self.warnings),
             "faults": [asdict(fault) for fault in self.faults],
         }
 

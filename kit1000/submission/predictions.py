@@ -17,7 +17,7 @@ import numpy as np
 from kit1000.errors import InputError, ShapeError, checked
 from kit1000.files import write_bytes
 from kit1000.pose import Pose
-from kit1000.submission.faults import MOST_KEPT, Fault, FaultList, printable, quote
+from kit1000.submission.faults import MOST_KEPT, Fault, in_order, printable, quote
 from kit1000.submission.reading import read_text
 
 if TYPE_CHECKING:
@@ -156,13 +156,14 @@ def read_valid_predictions(path: str | Path, inside: Path | None = None) -> tupl
     file = printable(path)
     text = read_text(Path(path), file, inside)
     rows = text if isinstance(text, Fault) else read_rows(text, file)
-    error = rows if isinstance(rows, Fault) else rows.duplicates().first_error
-    if isinstance(rows, Fault) or error is not None:
-        raise InputError(f"{error} (`kit1000 check` lists all faults)")
+    errors = [rows] if isinstance(rows, Fault) else rows.duplicates()
+    if isinstance(rows, Fault) or errors:
+        raise InputError(f"{errors[0]} (`kit1000 check` lists all faults)")
     valid = rows.valid
     wxyz, xyz, confidence, seconds = np.split(rows.numbers[valid], (4, 7, 8), axis=1)
     ids = tuple(compress(rows.query_ids, valid.tolist()))
-    invalid = InvalidRows(rows.broken.errors + int((~valid).sum()), rows.faults().first_error)
+    first = next(iter(in_order(rows.faults())), None)
+    invalid = InvalidRows(rows.broken_count + int((~valid).sum()), first)
     return Predictions(ids, Pose(wxyz, xyz), confidence[:, 0], seconds[:, 0]), invalid
 
 
@@ -178,8 +179,10 @@ class Rows:
     query_ids: tuple[str, ...]
     numbers: np.ndarray
     """(n, 9) float64: qw qx qy qz, x y z [m], confidence, seconds [s]; NaN if a field is not a finite number."""
-    broken: FaultList
-    """One error for each line without the fields of a row."""
+    broken: list[Fault]
+    """One error for each of the first MOST_KEPT lines without the fields of a row."""
+    broken_count: int
+    """Number of all of them."""
 
     def __len__(self) -> int:
         return len(self.query_ids)
@@ -206,14 +209,12 @@ class Rows:
         """(n,) bool: the rows that are valid predictions."""
         return np.logical_not(self.wrong.any(axis=1))
 
-    def faults(self) -> FaultList:
-        """The faults of single lines: broken ones, and those with invalid fields."""
-        faults = FaultList(list(self.broken.kept), self.broken.errors)
-        cells = np.argwhere(self.wrong)
-        faults.add((self._value_fault(row, column) for row, column in cells[:MOST_KEPT].tolist()), len(cells))
-        return faults
+    def faults(self) -> list[Fault]:
+        """The faults of single lines: broken ones, and those with invalid fields; the first MOST_KEPT of each."""
+        cells = np.argwhere(self.wrong)[:MOST_KEPT].tolist()
+        return [*self.broken, *(self._value_fault(row, column) for row, column in cells)]
 
-    def duplicates(self) -> FaultList:
+    def duplicates(self) -> list[Fault]:
         """One error for each further row with the same id: no row says which of them is meant."""
         first: dict[str, int] = {}
         again = [i for i, query_id in enumerate(self.query_ids) if first.setdefault(query_id, i) != i and query_id]
@@ -223,9 +224,7 @@ class Rows:
             expected = f"one row per query, but line {before} has the same id"
             return self.fault(i, "query_id", "duplicate-id", expected, f"delete line {line} or line {before}")
 
-        faults = FaultList()
-        faults.add(map(fault, again[:MOST_KEPT]), len(again))
-        return faults
+        return list(map(fault, again[:MOST_KEPT]))
 
     def _value_fault(self, row: int, column: int) -> Fault:
         name = HEADER[column]
@@ -273,7 +272,7 @@ def read_rows(text: str, file: str) -> Rows | Fault:
     values = np.array(numbers, dtype=np.float64).reshape(-1, len(HEADER) - 1)
     values[np.isinf(values)] = np.nan
     values.setflags(write=False)
-    return Rows(file, lines, np.array(row_lines, np.int64), tuple(query_ids), values, FaultList(broken, count))
+    return Rows(file, lines, np.array(row_lines, np.int64), tuple(query_ids), values, broken, count)
 
 
 def _number(field: str) -> float:
@@ -296,25 +295,17 @@ def _is_header(line: str) -> bool:
 
 def _header_fault(lines: Sequence[str], head: int, file: str) -> Fault:
     """The error of a file whose first line that is not empty is not the header."""
-    header = ",".join(HEADER)
-    if any(map(_is_header, lines[head + 1 : head + 20])):
-        repair = "delete the lines above the header"
-    elif len(fields := _fields(lines[head])) == len(HEADER) and NUMBER.match(fields[1]):
-        repair = "insert the header above the first row"
-    else:
-        repair = "write this header, with commas between the columns and decimal points in the numbers"
+    repair = "write it above the rows, with commas between the columns and decimal points in the numbers"
     actual = f"the first line is {quote(lines[head])}"
-    return Fault(file, head + 1, "header", actual, f"the header {header}", repair)
+    return Fault(file, head + 1, "header", actual, f"the header {','.join(HEADER)}", repair)
 
 
 def _line_fault(line: str, number: int, is_last: bool, file: str) -> Fault:
     """Why a line is no row."""
-    if len(line) > LONGEST_LINE:
-        actual = f"a line of {len(line)} characters, which begins with {quote(line[:40])}"
-        expected, repair = f"at most {LONGEST_LINE} characters", "write one row per query, each on its own line"
-        return Fault(file, number, "long-line", actual, expected, repair)
-    fields = _fields(line)
-    actual = f"{len(fields)} field{'' if len(fields) == 1 else 's'}" if fields else "a quote that is not closed"
+    fields = _fields(line) if len(line) <= LONGEST_LINE else []
+    many = f"{len(fields)} field{'' if len(fields) == 1 else 's'}"
+    actual = many if fields else f"a quote that is not closed, or more than {LONGEST_LINE} characters,"
     repair = "the file was cut off: write or copy it again" if is_last else f"write {','.join(HEADER)}"
-    expected = f"{len(HEADER)} fields, separated by commas"
-    return Fault(file, number, "fields", f"{actual} in {quote(line)}", expected, repair)
+    return Fault(
+        file, number, "fields", f"{actual} in {quote(line)}", f"{len(HEADER)} fields, separated by commas", repair
+    )

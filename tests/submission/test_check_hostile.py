@@ -70,33 +70,25 @@ def test_a_pipe_is_never_opened(name: str, folder: Path) -> None:
     assert (fault.file, fault.code) == (name, "not-a-file")
 
 
-BAD_ROWS = {  # by description: the row number i, and how many errors each has
-    "not numbers": ("test-s{i}-p0-snap,a,b,c,d,e,f,g,h,i", 9),
-    "too short": ("test-s{i}-p0-snap,1,0", 1),
-    "one id": ("test-s0-p0-snap,1,0,0,0,0,0,0,1,1", 1),
-    "out of range": ("test-s{i}-p0-snap,2,0,0,0,1e9,0,0,7,-3", 4),
-    "no id": (",1,0,0,0,0,0,0,1,1", 1),
-}
+BAD_ROWS = (  # with the row number i
+    "test-s{i}-p0-snap,a,b,c,d,e,f,g,h,i", "test-s{i}-p0-snap,1,0", "test-s0-p0-snap,1,0,0,0,0,0,0,1,1",
+    "test-s{i}-p0-snap,2,0,0,0,1e9,0,0,7,-3",
+)  # fmt: skip
 
 
-@pytest.mark.parametrize("case", BAD_ROWS)
-def test_many_faults_are_counted_and_few_are_printed(
-    case: str, folder: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("pattern", BAD_ROWS)
+def test_of_many_faults_few_are_kept_and_fewer_printed(
+    pattern: str, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    pattern, each = BAD_ROWS[case]
-    n = 3 * MOST_KEPT
-    rows = [pattern.format(i=i) for i in range(n)]
+    rows = [pattern.format(i=i) for i in range(3 * MOST_KEPT)]
     (folder / "predictions.csv").write_text("\n".join([HEAD, *rows, ""]))
     report = check(folder)
-    wrong = n * each - (case == "one id")  # of equal ids the first is right
-    assert 0 <= report.error_count - wrong <= 4  # and of the file, such as quaternions far from 1
     assert len(report.errors) == MOST_KEPT
     assert main(["check", str(folder)]) == 1
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == MOST_PRINTED + 1
-    assert f"{report.error_count} errors, " in lines[-1]
+    assert f"{MOST_KEPT} errors or more, " in lines[-1]
     assert lines[-1].endswith(f"; the first {MOST_PRINTED} are listed")
     assert main(["check", str(folder), "--json"]) == 1
     described = json.loads(capsys.readouterr().out)
-    assert described["errors"] == report.error_count
-    assert len(described["faults"]) == len(report.faults) <= 2 * MOST_KEPT
+    assert MOST_KEPT <= len(described["faults"]) == len(report.faults) <= MOST_KEPT + 10
