@@ -79,9 +79,9 @@ lint: $(DEV) ## ruff, layers of imports, declared packages, types
 	$(BIN)/deptry .
 	$(BIN)/pyright
 
-site: $(DEV) ## documentation, API reference and leaderboard, under site/; with DATA rescored, with pictures of cases
+site: $(DEV) ## documentation, API reference and leaderboard, under site/; with DATA rescored
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet --site-dir "$(SITE)"
-	$(if $(wildcard $(DATA)/dataset.json),$(PAGES) --data "$(DATA)" $$($(RESCORE) >&2 && echo --rescored),$(PAGES))
+	$(if $(wildcard $(DATA)/dataset.json),$(PAGES) $$($(RESCORE) >&2 && echo --rescored),$(PAGES))
 
 table1: $(DEV) ## Table I beside our scores; with DATA they are scored again, RERUN=50 answers 50 queries again too
 	$(if $(wildcard $(DATA)/dataset.json),$(RESCORE))

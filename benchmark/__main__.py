@@ -146,18 +146,16 @@ class Compare:
 
 @dataclass(frozen=True)
 class Table1:
-    """Print the scores of all submissions beside Table I of the paper."""
+    """Print the scores of all submissions beside Table I of the paper, as Markdown."""
 
     submissions: Folder = Path("submissions")
     """Folder with a folder for each method, manifest.toml and scores.json in it."""
-    out: OptionalPath = None
-    """File to write instead of printing: .md, .json or .html."""
 
     def run(self) -> int:
         """Print the table."""
-        from benchmark.table1 import run as table1
+        from benchmark.table1 import as_markdown, read_table
 
-        table1(self.submissions, self.out)
+        print(as_markdown(read_table(self.submissions)), end="")
         return 0
 
 
@@ -199,18 +197,14 @@ class Pages:
     """Folder with a folder for each method, manifest.toml and scores.json in it."""
     out: Folder = Path("site/board")
     """Folder for the pages."""
-    data: OptionalPath = None
-    """Dataset folder, with ground truth: pictures of single predictions are drawn too."""
     rescored: bool = False
-    """State on every page that `rescore` has reproduced the scores with --data; else that they are as submitted."""
+    """State on every page that `rescore` has reproduced the scores; else that they are as submitted."""
 
     def run(self) -> int:
         """Build, then print the folder."""
         from benchmark.pages import build
 
-        if self.rescored and self.data is None:
-            raise InputError("--rescored: expected --data too, the dataset of `python -m benchmark rescore`")
-        build(self.submissions, self.out, self.data, self.rescored)
+        build(self.submissions, self.out, self.rescored)
         print(self.out)
         return 0
 

@@ -1,13 +1,13 @@
 """Table I of the paper, its numbers beside those that the same methods reach here; made from submissions alone.
 
 A row of the paper is there from the start, and empty until a submission names it in its manifest; the other submissions
-follow by label, controls last. The same cells go into Markdown, into the board's HTML and, unrounded, into JSON.
+follow by label, controls last. The same cells go into Markdown and into the board's HTML.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from typing import Any, Literal
@@ -15,9 +15,8 @@ from typing import Any, Literal
 from benchmark.entries import Entry, read_entries
 from benchmark.protocol import ABLATION
 from benchmark.quantities import POSITION, POSITION_PLAIN, ROTATION, ROTATION_PLAIN, Quantity
-from benchmark.report import Grid, json_text, versions_text
+from benchmark.report import Grid, versions_text
 from kit1000.errors import InputError, did_you_mean
-from kit1000.files import write_own
 from kit1000.queries.tracks import PAPER_TRACKS, TRACKS
 
 NOT_YET = "not yet"  # if no submission is scored
@@ -111,23 +110,6 @@ class Section:
     grid: Grid
     classes: tuple[str, ...]
     """Class of each row in HTML: control, or none."""
-
-
-def run(submissions: Path, out: Path | None = None) -> None:
-    """Print the tables as Markdown, or write them.
-
-    Args:
-        submissions: folder with one folder per method.
-        out: FILE.md, FILE.json or FILE.html.
-    """
-    table = read_table(submissions)
-    if out is None:
-        print(as_markdown(table), end="")
-        return
-    texts = {".md": as_markdown, ".json": lambda table: json_text(asdict(table)), ".html": as_html}
-    if out.suffix not in texts:
-        raise InputError(f"--out {out}: expected a name that ends in .md, .json or .html")
-    write_own(out, texts[out.suffix](table).encode())
 
 
 def read_table(submissions: Path) -> Table:

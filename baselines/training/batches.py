@@ -50,27 +50,23 @@ class Task(Protocol):
 
 
 def train_batches(
-    task: Task, seed: int, batch: int, steps: range, indices: range, workers: int, device: torch.device
+    task: Task, seed: int, batch: int, steps: range, workers: int, device: torch.device
 ) -> Iterator[Batch]:
-    """The batches of some steps, on a device.
+    """The batches of some steps, of `batch` examples each, on a device.
 
-    Example i of step s draws from `stream(seed, "train", s, i)`: nothing depends on workers, processes, or where a run
-    resumed.
+    Example i of step s draws from `stream(seed, "train", s, i)`: nothing depends on workers, or where a run resumed.
 
-    Args:
-        batch: examples of a step, over all processes.
-        indices: those of this process among them.
-        workers: processes that make examples; 0: this one.
+    workers: processes that make examples; 0: this one.
     """
-    batches = ([step * batch + i for i in indices] for step in steps)
+    batches = (list(range(step * batch, (step + 1) * batch)) for step in steps)
     return _on_device(TrainingSet(task, seed, batch), batches, workers, device)
 
 
 def validation_batches(
-    task: Task, keys: Sequence[Any], indices: range, batch: int, workers: int, device: torch.device
+    task: Task, keys: Sequence[Any], batch: int, workers: int, device: torch.device
 ) -> Iterator[Batch]:
-    """The validation examples at some indices among the keys, at most `batch` at a time."""
-    batches = [list(indices[i : i + batch]) for i in range(0, len(indices), batch)]
+    """The validation examples, at most `batch` at a time."""
+    batches = [list(range(i, min(i + batch, len(keys)))) for i in range(0, len(keys), batch)]
     return _on_device(_ValidationSet(task, keys), batches, min(workers, len(batches)), device)
 
 

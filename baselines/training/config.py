@@ -18,7 +18,7 @@ class TrainConfig:
 
     steps: int = 20_000
     batch: int = 8
-    """Examples of a step, over all processes together."""
+    """Examples of a step."""
     optimizer: Literal["adam", "muon"] = "adam"
     """muon: orthogonalised momentum for the hidden layers, AdamW for the others, see `baselines.training.muon`."""
     learning_rate: float = 1e-3

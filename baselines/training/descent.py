@@ -1,19 +1,17 @@
-"""Optimiser steps: AdamW or Muon, bfloat16, a moving average of the weights, several processes."""
+"""Optimiser steps: AdamW or Muon, bfloat16, a moving average of the weights."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
 import torch
-from torch.nn.parallel import DistributedDataParallel
 
 from baselines.training.batches import Batch, Task
 from baselines.training.config import TrainConfig
 from baselines.training.muon import Muon
-from baselines.training.processes import Processes
 from kit1000.errors import InputError
 from kit1000.perception.networks.weight_files import Tensors, load_into
 from kit1000.rng import stream
@@ -25,25 +23,24 @@ BF16_SINCE = (8, 0)  # compute capability of GPUs that calculate in bfloat16
 class Descent:
     """A network with all state that training changes."""
 
-    def __init__(self, task: Task, config: TrainConfig, processes: Processes) -> None:
-        """Move the network to the device of this process."""
-        self.config, self.processes = config, processes
-        self.model = task.model.to(processes.device)
+    def __init__(self, task: Task, config: TrainConfig, device: torch.device) -> None:
+        """Move the network to the device."""
+        self.config, self.device = config, device
+        self.model = task.model.to(device)
         self.loss = task.loss
-        self.loss_sum = torch.zeros((), dtype=torch.float64, device=processes.device)
+        self.loss_sum = torch.zeros((), dtype=torch.float64, device=device)
         """Sum of the losses since it was reset; it stays on the device, so that no step waits for a transfer."""
         self._optimizer = {"adam": _adam, "muon": _muon}[config.optimizer](self.model, config)
         self._average = {} if config.ema_decay is None else _copied(self.model)
-        self._parallel: torch.nn.Module | None = None
 
     def step(self, step: int, batch: Batch) -> None:
-        """Take step number `step`, counted from 0, on this process's part of its batch."""
-        self._seed("torch", step, self.processes.rank)
+        """Take step number `step`, counted from 0, on its batch."""
+        self._seed("torch", step, 0)
         for group in self._optimizer.param_groups:
             group["lr"] = self.config.learning_rate_at(step)
         self.model.train()
         with self._precision():
-            loss = self._loss(batch)
+            loss = self.loss(batch)
         self._optimizer.zero_grad()
         loss.backward()
         if self.config.clip is not None:
@@ -54,8 +51,7 @@ class Descent:
         self.loss_sum += loss.detach()
 
     def mean_loss(self, steps: int) -> float:
-        """The mean loss of all processes over the steps since the reset; raises InputError if it is not finite."""
-        self.loss_sum.copy_(self.processes.mean(self.loss_sum))
+        """The mean loss over the steps since the reset; raises InputError if it is not finite."""
         loss = float(self.loss_sum) / max(steps, 1)
         if not math.isfinite(loss):
             raise InputError("the loss is no longer finite; a lower learning_rate, or clip, may help")
@@ -89,39 +85,17 @@ class Descent:
         """Restore the state of a checkpoint; raises InputError if it belongs to another network."""
         load_into(self.model, state["model"], str(where))
         self._optimizer.load_state_dict(state["optimizer"])
-        self._average = {name: value.to(self.processes.device) for name, value in state["average"].items()}
+        self._average = {name: value.to(self.device) for name, value in state["average"].items()}
         self.loss_sum.copy_(state["loss_sum"])
 
-    def _loss(self, batch: Batch) -> torch.Tensor:
-        """() the loss, whose gradient is the mean over all processes."""
-        if self.processes.count == 1:
-            return self.loss(batch)
-        if self._parallel is None:
-            self._parallel = DistributedDataParallel(_Loss(self.model, self.loss))
-        return self._parallel(batch)
-
     def _precision(self) -> torch.autocast:
-        device, mode = self.processes.device, self.config.mixed_precision
-        has_bfloat16 = device.type == "cuda" and torch.cuda.get_device_capability(device) >= BF16_SINCE
-        return torch.autocast(
-            device.type, torch.bfloat16, enabled=mode == "bfloat16" or (mode == "auto" and has_bfloat16)
-        )
+        mode, kind = self.config.mixed_precision, self.device.type
+        has_bfloat16 = kind == "cuda" and torch.cuda.get_device_capability(self.device) >= BF16_SINCE
+        return torch.autocast(kind, torch.bfloat16, enabled=mode == "bfloat16" or (mode == "auto" and has_bfloat16))
 
     def _seed(self, *key: int | str) -> None:
         """Seed dropout and the like, which have no generators of their own: by step, so that a run can be resumed."""
         torch.manual_seed(int(stream(self.config.seed, *key).integers(2**63)))
-
-
-class _Loss(torch.nn.Module):
-    """A loss as a module, so that DistributedDataParallel covers every use of the network in it."""
-
-    def __init__(self, model: torch.nn.Module, loss: Callable[[Batch], torch.Tensor]) -> None:
-        super().__init__()
-        self.model = model
-        self.loss = loss
-
-    def forward(self, batch: Batch) -> torch.Tensor:
-        return self.loss(batch)
 
 
 def _adam(model: torch.nn.Module, config: TrainConfig) -> torch.optim.Optimizer:

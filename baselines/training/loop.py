@@ -1,4 +1,4 @@
-"""One training loop for every network: validation on fixed examples, checkpoints, one process or several.
+"""One training loop for every network: validation on fixed examples, checkpoints.
 
 A run writes into a folder: config.json, log.jsonl with a row for each validation, best.safetensors and best.json,
 curve.svg, and checkpoint.pt, from which the same call resumes after a stop or a kill with the same results.
@@ -14,7 +14,7 @@ import signal
 import sys
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
+from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from types import FrameType
@@ -29,7 +29,6 @@ from baselines.training.checkpoint import read_state, write_state
 from baselines.training.config import FREE, TrainConfig
 from baselines.training.curve import curve
 from baselines.training.descent import Descent
-from baselines.training.processes import Processes, joined, processes_here
 from kit1000.errors import InputError
 from kit1000.files import clear_partial, locked, read_json, write_bytes, write_json
 from kit1000.interrupts import in_main_thread
@@ -87,7 +86,6 @@ class _Run:
     folder: Path
     settings: dict[str, Any]
     """What the results depend on, as JSON has it: `train` and `about`."""
-    processes: Processes
     descent: Descent
     progress: _Progress
 
@@ -112,30 +110,23 @@ def train(
         InputError: the folder is of another run, a file in it is damaged, or a loss or measure is not finite.
     """
     settings = json.loads(json.dumps({"train": asdict(config), "about": dict(about or {})}))
-    with joined(device) as processes, _settings(config, processes), _only_run(folder, processes):
-        if config.batch % processes.count:
-            raise InputError(f"batch: expected a multiple of the {processes.count} processes, got {config.batch}")
-        run = _opened(task, config, folder, settings, processes)
+    device = torch.device(device or ("cuda" if torch.cuda.is_available() else "cpu"))
+    with _settings(config, device), locked(folder):
+        run = _opened(task, config, folder, settings, device)
         stopped_by = _run_steps(run) if run.progress.step < config.steps else "steps"
         progress = run.progress
         return TrainingResult(stopped_by, progress.step, progress.seconds, progress.best_step, progress.measures)
 
 
-def _only_run(folder: Path, processes: Processes) -> AbstractContextManager[Any]:
-    """Refuse another run that writes into the same folder."""
-    return locked(folder) if processes.first else nullcontext()
-
-
 def _run_steps(run: _Run) -> StopReason:
     """Take steps until all are taken, the time is over, or a signal asks to stop."""
-    config, progress, processes = run.config, run.progress, run.processes
+    config, progress, device = run.config, run.progress, run.descent.device
     began = time.monotonic() - progress.seconds
     ends = math.inf if config.time_limit_s is None else time.monotonic() + config.time_limit_s
-    steps, indices = range(progress.step, config.steps), processes.share(config.batch)
-    workers = _workers(config, processes)
-    batches = train_batches(run.task, config.seed, config.batch, steps, indices, workers, processes.device)
+    steps = range(progress.step, config.steps)
+    batches = train_batches(run.task, config.seed, config.batch, steps, _workers(config, device), device)
     kept = progress.step  # at the last checkpoint
-    bar = tqdm(steps, "training", config.steps, unit="step", initial=kept, disable=None if processes.first else True)
+    bar = tqdm(steps, "training", config.steps, unit="step", initial=kept, disable=None)
     try:
         with _deferred_interrupts(STOPPING) as interrupt, closing(batches), closing(bar):  # pyright: ignore[reportArgumentType]
             for batch in batches:
@@ -147,7 +138,7 @@ def _run_steps(run: _Run) -> StopReason:
                 done = progress.step == config.steps
                 if done or progress.step % config.validate_every == 0:
                     _report(run, bar, _validate(run))
-                stopped = done or processes.agreed(interrupt.requested or time.monotonic() >= ends)
+                stopped = done or interrupt.requested or time.monotonic() >= ends
                 if stopped or progress.step % config.checkpoint_every == 0:
                     _write_checkpoint(run)
                     kept = progress.step
@@ -156,8 +147,7 @@ def _run_steps(run: _Run) -> StopReason:
                 if stopped:
                     return "steps" if done else "time"
     except KeyboardInterrupt:
-        if processes.first:
-            print(f"training: stopped; the same command continues from step {kept}", file=sys.stderr)
+        print(f"training: stopped; the same command continues from step {kept}", file=sys.stderr)
         raise
     raise AssertionError("the last step ends the loop")
 
@@ -199,7 +189,7 @@ def _deferred_interrupts(notice: str) -> Iterator[_Deferral]:
 def _report(run: _Run, bar: tqdm, measured: str) -> None:
     """Show what a validation measured: in the bar of a terminal, as a line in a log file."""
     bar.set_postfix_str(measured)
-    if run.processes.first and bar.disable:
+    if bar.disable:
         progress = run.progress
         line = f"training: step {progress.step} of {run.config.steps}, {progress.seconds:.0f} s, {measured}"
         print(line, file=sys.stderr, flush=True)
@@ -207,19 +197,17 @@ def _report(run: _Run, bar: tqdm, measured: str) -> None:
 
 def _validate(run: _Run) -> str:
     """Measure, save the weights if they are the best so far, log and draw; returns the first measure as text."""
-    progress, first = run.progress, run.processes.first
+    progress = run.progress
     loss = _mean_loss(run)
     with run.descent.evaluation():
         measures = validate(run)
         name, chosen = next(iter(measures.items()))
         if progress.best is None or chosen["median"] < progress.best:
             progress.best, progress.best_step, progress.measures = chosen["median"], progress.step, measures
-            if first:
-                info = {**run.settings, "step": progress.step, "seconds": progress.seconds, "measures": measures}
-                save_weights(run.folder / BEST, run.descent.model, info, largest=None)
-    if first:
-        row = {"step": progress.step, "loss": loss, "learning_rate": run.config.learning_rate_at(progress.step - 1)}
-        progress.log_bytes = _log(run.folder, {**row, "seconds": round(progress.seconds, 3), "measures": measures})
+            info = {**run.settings, "step": progress.step, "seconds": progress.seconds, "measures": measures}
+            save_weights(run.folder / BEST, run.descent.model, info, largest=None)
+    row = {"step": progress.step, "loss": loss, "learning_rate": run.config.learning_rate_at(progress.step - 1)}
+    progress.log_bytes = _log(run.folder, {**row, "seconds": round(progress.seconds, 3), "measures": measures})
     run.descent.loss_sum.zero_()
     progress.steps_since_log = 0
     return f"{name} {chosen['median']:.4g}"
@@ -227,16 +215,14 @@ def _validate(run: _Run) -> str:
 
 def validate(run: _Run) -> Measures:
     """Mean and median of each measure over all validation examples."""
-    keys, processes = run.task.validation_keys(), run.processes
+    keys, device = run.task.validation_keys(), run.descent.device
     if not len(keys):
         raise InputError("expected at least one validation example")
-    own, workers = processes.share(len(keys)), _workers(run.config, processes)
     measured: dict[str, list[float]] = {}
-    for batch in validation_batches(run.task, keys, own, run.config.batch, workers, processes.device):
+    for batch in validation_batches(run.task, keys, run.config.batch, _workers(run.config, device), device):
         for name, values in run.task.measure(batch).items():
             measured.setdefault(name, []).extend(values.double().tolist())
-    shares = processes.gathered(measured)
-    return {name: _summary(run, name, np.concatenate([share.get(name, []) for share in shares])) for name in shares[0]}
+    return {name: _summary(run, name, np.array(values)) for name, values in measured.items()}
 
 
 def _summary(run: _Run, name: str, values: np.ndarray) -> dict[str, float]:
@@ -270,27 +256,25 @@ def _log(folder: Path, row: Mapping[str, Any]) -> int:
 def _write_checkpoint(run: _Run) -> None:
     """Write a checkpoint."""
     _mean_loss(run)  # weights after a loss that is not finite are useless
-    if run.processes.first:
-        state = {"settings": run.settings, "progress": asdict(run.progress), **run.descent.state()}
-        write_state(run.folder / CHECKPOINT, state)
+    state = {"settings": run.settings, "progress": asdict(run.progress), **run.descent.state()}
+    write_state(run.folder / CHECKPOINT, state)
 
 
-def _opened(task: Task, config: TrainConfig, folder: Path, settings: dict[str, Any], processes: Processes) -> _Run:
+def _opened(task: Task, config: TrainConfig, folder: Path, settings: dict[str, Any], device: torch.device) -> _Run:
     """A run at its start, or at its last checkpoint."""
     if (folder / CONFIG).exists():
         _check_same(folder, read_json(folder / CONFIG), settings)
-    elif processes.first:
+    else:
         _check_unused(folder)
-    run = _Run(task, config, folder, settings, processes, Descent(task, config, processes), _Progress())
+    run = _Run(task, config, folder, settings, Descent(task, config, device), _Progress())
     if (folder / CHECKPOINT).exists():
         state = read_state(folder / CHECKPOINT)
         _check_same(folder, state["settings"], settings)
         run.descent.restore(state, folder / CHECKPOINT)
         run.progress = _Progress(**state["progress"])
-    if processes.first:
-        clear_partial(folder)
-        _truncate(folder / LOG, run.progress.log_bytes)
-        write_json(folder / CONFIG, settings)
+    clear_partial(folder)
+    _truncate(folder / LOG, run.progress.log_bytes)
+    write_json(folder / CONFIG, settings)
     return run
 
 
@@ -330,14 +314,14 @@ def _truncate(log: Path, size: int) -> None:
 
 
 @contextmanager
-def _settings(config: TrainConfig, processes: Processes) -> Iterator[None]:
+def _settings(config: TrainConfig, device: torch.device) -> Iterator[None]:
     """Set the threads and the random state of PyTorch; the caller's are restored afterwards."""
-    if processes.device.type == "cpu":
+    if device.type == "cpu":
         _keep_freed_memory()
     threads = torch.get_num_threads()
-    torch.set_num_threads(config.threads or max(usable_cores() // processes_here(), 1))
+    torch.set_num_threads(config.threads or usable_cores())
     try:
-        with torch.random.fork_rng([processes.device] if processes.device.type == "cuda" else []):
+        with torch.random.fork_rng([device] if device.type == "cuda" else []):
             yield
     finally:
         torch.set_num_threads(threads)
@@ -355,8 +339,8 @@ def _keep_freed_memory() -> None:
         mallopt(TRIM_THRESHOLD, 2**31 - 1)
 
 
-def _workers(config: TrainConfig, processes: Processes) -> int:
+def _workers(config: TrainConfig, device: torch.device) -> int:
     """The number of processes that make examples."""
     if config.workers is not None:
         return config.workers
-    return max(usable_cores() // processes_here(), 1) if processes.device.type == "cuda" else 1
+    return usable_cores() if device.type == "cuda" else 1

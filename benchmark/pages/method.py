@@ -116,14 +116,6 @@ def _group_name(key: str, name: str) -> str:
     return name.replace("-", " to ") if key in BINNED else name
 
 
-def case_caption(row: Mapping[str, Any]) -> str:
-    """The caption of the picture of a single query."""
-    pose = (quantities.POSITION, quantities.ROTATION)
-    errors = [f"{each.text(row[each.key])}{each.unit.suffix}" for each in pose if row[each.key] is not None]
-    seated = {None: [], True: ["seated"], False: ["not seated"]}[row[quantities.SEATED.key]]
-    return " · ".join([*errors, *seated])
-
-
 def case_text(quantity: Quantity, value: float | bool | None) -> str:
     """A quantity of a single query."""
     if value is None:

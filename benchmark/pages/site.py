@@ -15,9 +15,7 @@ from benchmark.entries import Entry
 from benchmark.pages import board as boards
 from benchmark.pages import method as methods
 from benchmark.pages.board import Board, mean_cell, median_cell, percent, read_board
-from benchmark.pages.cases import case_ids, pictures
 from benchmark.table1 import as_html, table_of
-from kit1000.dataset.reader import Dataset
 from kit1000.dataset.scene_data import LICENCE
 from kit1000.files import check_output, write_bytes
 from kit1000.pictures import charts
@@ -25,26 +23,23 @@ from kit1000.pictures import charts
 TEMPLATES = Path(__file__).parent / "templates"
 
 
-def build(submissions: Path, out: Path, data: Path | None = None, rescored: bool = False) -> None:
+def build(submissions: Path, out: Path, rescored: bool = False) -> None:
     """Write the pages of all scored submissions of a folder.
 
     Args:
         submissions: a folder with a folder for each method, `manifest.toml` and `scores.json` in it.
         out: where the pages go; made if it is missing.
-        data: the dataset of the scores, with ground truth, to draw single queries; without it they are only listed.
-        rescored: whether `benchmark.score` has reproduced the scores with this dataset; stated on every page.
+        rescored: whether `benchmark.score` has reproduced the scores; stated on every page.
     """
     board = read_board(submissions)
-    dataset = None if data is None else Dataset(data)
     pages = _environment(board, rescored)
     check_output(out, "board.js")
     write_bytes(out / "style.css", ((TEMPLATES / "style.css").read_text("utf-8") + charts.STYLE).encode())
     write_bytes(out / "board.js", (TEMPLATES / "board.js").read_bytes())
     for entry in board.entries:
-        files = {} if dataset is None else _write_pictures(dataset, entry, out)
-        _write(out / "methods" / f"{entry.name}.html", pages, "method.html", _method(entry, files, dataset is not None))
+        _write(out / "methods" / f"{entry.name}.html", pages, "method.html", _method(entry))
     for entry in board.real:
-        values = _method(entry, {}, False) | {"setting": entry.setting}
+        values = _method(entry) | {"setting": entry.setting}
         _write(out / "methods" / f"{entry.name}.html", pages, "method.html", values)
     _write(out / "table1.html", pages, "table1.html", {"table1": Markup(as_html(table_of(board.entries)))})
     _write(out / "index.html", pages, "index.html", _index(board))
@@ -60,7 +55,7 @@ def _environment(board: Board, rescored: bool) -> jinja2.Environment:
     )
     pages.globals |= {"board": board, "setting": board.setting, "data_licence": LICENCE, "rescored": rescored}
     functions = (mean_cell, median_cell, percent, methods.track_charts, methods.groups)
-    pages.globals |= {function.__name__: function for function in (*functions, methods.case_caption, methods.case_text)}
+    pages.globals |= {function.__name__: function for function in (*functions, methods.case_text)}
     pages.globals["case_titles"] = methods.CASE_TITLES
     return pages
 
@@ -82,7 +77,7 @@ def _index(board: Board) -> dict[str, Any]:
     }
 
 
-def _method(entry: Entry, files: dict[str, str], with_data: bool) -> dict[str, Any]:
+def _method(entry: Entry) -> dict[str, Any]:
     return {
         "entry": entry,
         "quantities": quantities.QUANTITIES,
@@ -92,15 +87,4 @@ def _method(entry: Entry, files: dict[str, str], with_data: bool) -> dict[str, A
         "overview": methods.overview_charts(entry),
         "curves": methods.curve_charts(entry),
         "tracks": {track: entry.scores["tracks"][track] for track in methods.tracks_of(entry)},
-        "pictures": files,
-        "with_data": with_data,
     }
-
-
-def _write_pictures(dataset: Dataset, entry: Entry, out: Path) -> dict[str, str]:
-    """Draw the listed queries of all tracks; their files by query id, relative to the page."""
-    ids = [query_id for track in entry.scores["tracks"].values() for query_id in case_ids(track)]
-    drawn = pictures(dataset, entry, ids)
-    for query_id, picture in drawn.items():
-        write_bytes(out / "methods" / entry.name / f"{query_id}.jpg", picture)
-    return {query_id: f"{entry.name}/{query_id}.jpg" for query_id in drawn}

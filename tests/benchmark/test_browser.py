@@ -24,7 +24,7 @@ READABLE = 4.5  # contrast of text, by WCAG AA
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Pages of all made-up methods."""
     folder = tmp_path_factory.mktemp("board")
-    build(write_board(folder / "submissions"), folder / "site", None)
+    build(write_board(folder / "submissions"), folder / "site")
     return folder / "site"
 
 

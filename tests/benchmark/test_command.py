@@ -86,7 +86,6 @@ WRONG = {  # by what is typed: facts of the answer
     "curves {tmp} --out {tmp}/out": "",
     "compare {sub} --data {data}": "compare|B",
     "compare {sub} {sub} --data {data} --tracks snp": "",
-    "pages --submissions {tmp} --rescored": "--rescored: expected --data too",
     "pages --submissions {tmp} --out {tmp}/out": "{tmp}: no scored submission",
 }
 

@@ -70,10 +70,10 @@ def test_the_interval_of_a_rate_is_wilsons() -> None:
 
 
 def test_the_command_names_the_program_and_neither_data_nor_target(mini: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    program = ROOT / "bench/quality/calibration.py"
+    program = ROOT / "bench/quality/segmentation.py"
     monkeypatch.setattr(sys, "argv", [str(program), str(mini), "--scenes", "3", "--out", "/elsewhere/x.json"])
     setting = Measurement.begin(Dataset(mini)).setting
-    assert setting["command"] == "python bench/quality/calibration.py DATA --scenes 3"
+    assert setting["command"] == "python bench/quality/segmentation.py DATA --scenes 3"
     assert setting["dataset_id"] == Dataset(mini).id
 
 

@@ -19,7 +19,7 @@ from benchmark.pages import build
 from benchmark.pages.board import TrackTable, percent, read_board, runtime_class, track_tables
 from benchmark.protocol import ABLATION, FOUND, NO_MASKS
 from benchmark.quantities import POSITION
-from benchmark.table1 import run as table1
+from benchmark.table1 import read_table as table1
 from kit1000.errors import InputError
 from kit1000.queries.tracks import TRACKS
 from kit1000.submission.manifest import write_manifest
@@ -33,7 +33,7 @@ VOID = {"meta", "link", "img", "input", "br"}
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Pages of all made-up methods, without a dataset."""
     folder = tmp_path_factory.mktemp("board")
-    build(write_board(folder / "submissions"), folder / "site", None)
+    build(write_board(folder / "submissions"), folder / "site")
     return folder / "site"
 
 
@@ -116,7 +116,7 @@ def test_every_page_names_protocol_metrics_dataset_evaluator_and_licence(site: P
 
 
 def test_every_page_says_whether_its_scores_are_rescored(site: Path, tmp_path: Path) -> None:
-    build(site.parent / "submissions", tmp_path, None, rescored=True)
+    build(site.parent / "submissions", tmp_path, rescored=True)
     for path in all_pages(site):
         submitted, rescored = path.read_text("utf-8"), (tmp_path / path.relative_to(site)).read_text("utf-8")
         assert "<dt>Scores</dt><dd>scores as submitted</dd>" in submitted
@@ -147,9 +147,9 @@ def test_the_page_of_a_method_has_all_its_parts(site: Path) -> None:
 
 
 def test_the_same_scores_give_the_same_bytes(site: Path, tmp_path: Path) -> None:
-    build(site.parent / "submissions", tmp_path, None)
+    build(site.parent / "submissions", tmp_path)
     assert file_hashes(tmp_path) == file_hashes(site)
-    build(site.parent / "submissions", tmp_path, None)  # over itself
+    build(site.parent / "submissions", tmp_path)  # over itself
     assert file_hashes(tmp_path) == file_hashes(site)
 
 
@@ -157,7 +157,7 @@ def test_a_single_control_makes_a_board(tmp_path: Path) -> None:
     write_board(tmp_path / "s", ("guess",))
     (tmp_path / "s/empty").mkdir()
     shutil.copy(tmp_path / "s/guess/manifest.toml", tmp_path / "s/empty")
-    build(tmp_path / "s", tmp_path / "site", None)
+    build(tmp_path / "s", tmp_path / "site")
     text = page(tmp_path / "site")
     assert "No method has been scored on this track yet" in text
     assert "Not scored yet: empty" in text
@@ -189,7 +189,7 @@ def test_masks_that_no_camera_gives_and_known_shapes_have_tables_of_their_own(tm
         "snaps": ABLATION,
     }
     assert not any(entry.masks("snap") for entry in entries.values())
-    build(tmp_path, tmp_path / "site", None)
+    build(tmp_path, tmp_path / "site")
     robustness = page(tmp_path / "site").partition('id="robustness"')[2]
     assert "found" in robustness
     assert "shapes" not in robustness
@@ -203,11 +203,11 @@ def groups(table: TrackTable) -> dict[str, list[str]]:
 def test_scores_that_cannot_be_compared_share_no_board(tmp_path: Path) -> None:
     write_board(tmp_path, ("snaps", "guess"))
     edited(tmp_path / "snaps", evaluator="0" * 16)
-    build(tmp_path, tmp_path / "site", None)
+    build(tmp_path, tmp_path / "site")
     assert "2 versions of the evaluator" in page(tmp_path / "site")
     edited(tmp_path / "snaps", dataset_id="another")
     with pytest.raises(InputError, match=r"snaps: .*dataset_id another.*guess 0123"):
-        build(tmp_path, tmp_path / "site", None)
+        build(tmp_path, tmp_path / "site")
 
 
 def tampered(folder: Path) -> None:
@@ -243,7 +243,7 @@ def test_scores_of_other_files_are_refused_by_name(case: str, tmp_path: Path) ->
     message = (
         rf"snaps: scores\.json was made of other files: {expected}; `python -m benchmark score .*snaps --data DIR`"
     )
-    for command in (lambda: build(tmp_path, tmp_path / "site", None), lambda: table1(tmp_path)):
+    for command in (lambda: build(tmp_path, tmp_path / "site"), lambda: table1(tmp_path)):
         with pytest.raises(InputError, match=message) as refused:
             command()
         assert "\n" not in str(refused.value)
@@ -253,7 +253,7 @@ def test_scores_without_their_predictions_are_refused(tmp_path: Path) -> None:
     write_board(tmp_path, ("snaps",))
     (tmp_path / "snaps/predictions.csv").unlink()
     with pytest.raises(InputError, match=r"snaps/predictions\.csv: does not exist"):
-        build(tmp_path, tmp_path / "site", None)
+        build(tmp_path, tmp_path / "site")
     os.mkfifo(tmp_path / "snaps/predictions.csv")  # never opened: reading it would wait for ever
     with pytest.raises(InputError, match=r"snaps/predictions\.csv: is not a regular file"):
         table1(tmp_path)
@@ -261,13 +261,13 @@ def test_scores_without_their_predictions_are_refused(tmp_path: Path) -> None:
 
 def test_folders_without_scores_are_refused_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no folder of submissions"):
-        build(tmp_path / "nowhere", tmp_path / "site", None)
+        build(tmp_path / "nowhere", tmp_path / "site")
     with pytest.raises(InputError, match="no scored submission"):
-        build(tmp_path, tmp_path / "site", None)
+        build(tmp_path, tmp_path / "site")
     write_scored(tmp_path / "guess", GUESS, 27.0, 13.8, None)
     (tmp_path / "guess/scores.json").write_text('{"method": "x"}', encoding="utf-8")
     with pytest.raises(InputError, match=r"scores\.json: expected scores of .* there is no protocol, "):
-        build(tmp_path, tmp_path / "site", None)
+        build(tmp_path, tmp_path / "site")
 
 
 def test_numbers_are_written_with_the_decimals_of_their_column() -> None:
@@ -285,14 +285,14 @@ def test_numbers_are_written_with_the_decimals_of_their_column() -> None:
 def test_real_scenes_are_tracks_of_their_own(tmp_path: Path) -> None:
     """Empty until somebody sends scenes; then of another dataset than the rest of the board."""
     folder = write_board(tmp_path / "submissions", ("guess", "learned"))
-    build(folder, tmp_path / "empty", None)
+    build(folder, tmp_path / "empty")
     empty = page(tmp_path / "empty")
     assert 'id="track-real"' in empty
     assert "None was sent yet" in empty
     shutil.copytree(folder / "learned", folder / "real/learned")
     scores = json.loads((folder / "real/learned/scores.json").read_text("utf-8"))
     (folder / "real/learned/scores.json").write_text(json.dumps(scores | {"dataset_id": "ea1dea1dea1dea1d"}))
-    build(folder, tmp_path / "site", None)
+    build(folder, tmp_path / "site")
     index = page(tmp_path / "site")
     tracks = re.findall(r'id="track-(real[^"]*)"', index)
     assert tracks == [f"real-{track}" for track in TRACKS if track in scores["tracks"]]

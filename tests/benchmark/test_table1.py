@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from benchmark.table1 import NOT_YET, PAPER_ROWS, as_html, as_markdown, read_table, run, sections
+from benchmark.table1 import NOT_YET, PAPER_ROWS, as_html, as_markdown, read_table, sections
 from kit1000.errors import InputError
 from kit1000.queries.tracks import PAPER_TRACKS, TRACKS
 from kit1000.submission.manifest import Manifest, write_manifest
@@ -284,28 +284,3 @@ def test_html_shows_the_same_cells(submissions: Path) -> None:
     assert page.rows == [[*row] for section in shown for row in (section.grid.header, *section.grid.rows)]
     controls = sum(section.classes.count("control") for section in shown)
     assert as_html(table).count('<tr class="control">') == controls >= 2 * len(TRACKS)
-
-
-def test_json_holds_the_numbers_unrounded_with_the_notes(submissions: Path, tmp_path: Path) -> None:
-    run(submissions, tmp_path / "table1.json")
-    written = json.loads((tmp_path / "table1.json").read_text("utf-8"))
-    snapnet = next(row for row in written["rows"] if row["submission"] == "ours")
-    assert snapnet["tracks"]["place-paper"]["position_mm"]["mean"] == 9.123
-    assert snapnet["printed"] == {"snap-tilt": [3.9, 4.9], "place-paper": [10.8, 29.6]}
-    assert written["setting"]["dataset_id"] == DATASET
-    assert any("voxels of 0.89 mm" in note for note in written["notes"])
-    assert any("their statistic" in note for note in written["notes"])
-
-
-def test_the_table_is_printed_or_written_as_the_suffix_of_the_file_says(
-    submissions: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    run(submissions)
-    assert capsys.readouterr().out == as_markdown(read_table(submissions))
-    for _ in range(2):  # a file is written again
-        run(submissions, tmp_path / "new.md")
-        run(submissions, tmp_path / "new.html")
-    assert as_markdown(read_table(submissions)) == (tmp_path / "new.md").read_text("utf-8")
-    assert as_html(read_table(submissions)) == (tmp_path / "new.html").read_text("utf-8")
-    with pytest.raises(InputError, match=r"ends in \.md, \.json or \.html"):
-        run(submissions, tmp_path / "table1.csv")
