@@ -138,7 +138,6 @@ def test_the_page_of_a_method_has_all_its_parts(site: Path) -> None:
     assert SNAPS.reproduce in text
     for title in ("Robustness", "Position errors", "MSSD by confidence", "Kits in the assembly", "Largest errors"):
         assert title in text
-    assert "drawn when the pages are built with the dataset" in text
     rotations = page(site, "rotations")
     assert "rotation only" in rotations
     assert "Rotation errors" in rotations
