@@ -137,22 +137,6 @@ class Symmetry:
             smallest = np.minimum(smallest, _residual(quaternion_multiply(inverse, difference), self.axis))
         return smallest
 
-    def expanded(self, step: float) -> np.ndarray:
-        """All rotations as a list, a free axis in equal steps of at most `step` [rad]. (m, 4)."""
-        if self.axis is None:
-            return self.rotations
-        if not 0 < step <= 2 * np.pi:
-            raise InputError(f"step: expected an angle above 0 and up to 2 pi rad, got {step}")
-        about_axis = _rotation_steps(int(np.ceil(2 * np.pi / step - GROUP_TOLERANCE)), self.axis)
-        return quaternion_multiply(self.rotations[:, None], about_axis).reshape(-1, 4)
-
-    def conjugated(self, q: ArrayLike) -> Symmetry:
-        """The symmetry of the same part after a rotation by q (4,) in its own axes."""
-        rotation = checked("q", normalized_quaternion(q, "q"), (4,))
-        rotated = quaternion_multiply(quaternion_multiply(rotation, self.rotations), quaternion_conjugate(rotation))
-        rotated[0] = IDENTITY  # exactly, not to rounding
-        return Symmetry(rotated, None if self.axis is None else Pose(rotation, np.zeros(3)).rotate(self.axis))
-
     def is_group(self, tol: float = GROUP_TOLERANCE) -> bool:
         """Whether the identity is first, elements are distinct and products are elements, within `tol` [rad]."""
         g = self.rotations

@@ -1,9 +1,9 @@
-"""Speed of reading a dataset: scenes, depth images and volumes per second, and whether two workers feed a training.
+"""Speed of reading a dataset: scenes, depth images and volumes per second.
 
     python bench/speed/reading.py data/kit1000
 
 Without a folder a tiny dataset is generated first. Scenes are read in random order, each one from the start, as in
-training. Two workers suffice when a loop of steps of 0.2 s waits for its batches less than 5 % of the time.
+training.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import torch
 import tyro
-from torch.utils.data import DataLoader, RandomSampler, Subset
+from torch.utils.data import Subset
 
 from bench.measured import measured_dataset, run
 from benchmark.measurements import Column, Measurement
@@ -29,7 +29,6 @@ from kit1000.pose import Pose
 from kit1000.values import Query, Truth, View
 from kit1000.voxels import Grid, tsdf
 
-STEP = 0.2  # [s] of computation for a batch
 RATES = (
     Column("read", "read"),
     Column("n", "reads"),
@@ -37,13 +36,6 @@ RATES = (
     Column("ms", "CPU, ms", 2),
     Column("ratio", "times queries alone", 1),
     Column("goal", "goal, per second", 0),
-)
-WAITING = (
-    Column("item", "item"),
-    Column("n", "steps"),
-    Column("share", "waiting, %", 1, True),
-    Column("seconds", "s a step", 3),
-    Column("ratio", "times the query alone", 2),
 )
 SCENES, IMAGES = 200, 100  # [1/s] goals for the queries of scenes, and for depth images
 
@@ -73,8 +65,6 @@ class Reading:
     """Minimum duration of each measurement."""
     items: int = 300
     """Most scenes and most items that are read, drawn at random."""
-    batch: int = 8
-    workers: int = 2
     seed: int = 0
     """Seed of the random order."""
     out: Path | None = None
@@ -93,13 +83,6 @@ def main(options: Reading) -> None:
         _add_scenes(measurement, split, options)
         for name, subset in items.items():
             _add_rate(measurement, f"item: {name}", subset.__getitem__, range(len(subset)), options)
-        setting = f"{options.workers} workers, batches of {options.batch}, steps of {STEP:g} s"
-        table = measurement.table("waiting", f"Waiting of a training loop: {setting}", *WAITING)
-        steps = max(int(options.seconds * 3 / STEP), 10)
-        spent = {name: _waiting(subset, steps, options) for name, subset in items.items()}
-        alone = next(iter(spent.values()))[1]
-        for name, (waited, whole) in spent.items():
-            table.add(item=name, n=steps, share=waited / whole, seconds=whole / steps, ratio=whole / alone)
         measurement.report(options.out)
 
 
@@ -144,28 +127,6 @@ def _add_rate(
     rate, ms = count / (time.perf_counter() - started), 1e3 * (time.process_time() - computed) / count
     reference = table.rows[0]["ms"] if table.rows else ms
     table.add(read=name, n=count, rate=rate, ms=ms, ratio=ms / reference, goal=goal)
-
-
-def _waiting(items: Subset, steps: int, options: Reading) -> tuple[float, float]:
-    """Seconds that training steps wait for batches and seconds in all, without the first batch."""
-    sampler = RandomSampler(items, replacement=True, num_samples=(steps + 1) * options.batch)
-    loader = DataLoader(items, options.batch, sampler=sampler, num_workers=options.workers)
-    batches = iter(loader)
-    next(batches)
-    waited, started = 0.0, time.perf_counter()
-    for _ in range(steps):
-        step_started = time.perf_counter()
-        next(batches)
-        waited += time.perf_counter() - step_started
-        _compute(STEP)
-    return waited, time.perf_counter() - started
-
-
-def _compute(seconds: float) -> None:
-    """Keep one core busy, like a training step on the CPU."""
-    matrix, started = torch.eye(64), time.perf_counter()
-    while time.perf_counter() - started < seconds:
-        matrix = matrix @ matrix
 
 
 if __name__ == "__main__":

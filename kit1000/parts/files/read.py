@@ -6,7 +6,6 @@ with one line. A file is never trusted: the counts in its header are compared wi
 
 from __future__ import annotations
 
-import codecs
 import io
 import math
 import os
@@ -23,7 +22,7 @@ from manifold3d import Manifold
 
 from kit1000.errors import InputError, MeshRefused
 from kit1000.mesh import Mesh, z_up
-from kit1000.parts.files.file_text import check_foreign
+from kit1000.parts.files.file_text import BYTE_ORDER_MARK, check_foreign
 from kit1000.parts.files.gltf import gltf_bodies
 from kit1000.parts.files.part_mesh import Choice, part_mesh
 from kit1000.parts.files.polygon_files import read_obj, read_off, read_ply
@@ -42,7 +41,6 @@ UNIT_GUESS_ORDER = ("mm", "m", "inch", "cm")  # the most frequent in machine par
 PLAUSIBLE_SIZE = (0.005, 0.5)  # [m] longest side of a machine part, by which a unit is guessed
 ACCEPTED_SIZE = (1e-4, 10.0)  # [m] longest side of a part that is not refused
 MAX_OFFSET_RATIO = 100.0  # distance from the origin in longest sides; farther away float32 would ruin the shape
-LIST_MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 DETAIL = re.compile(r"[:;(,].*| of \S+\.\w+$| when read in .*|^\d\S* ")  # of one file: names, counts, what to do
 NUMBER = re.compile(r"\d\S*")
 
@@ -290,23 +288,13 @@ def _meshes_below(folder: Path) -> list[Path]:
 
 
 def _meshes_listed(listing: Path) -> list[Path]:
-    """The mesh files of a list; names in quotes are read without them, and names that are no UTF-8 as bytes."""
+    """The mesh files of a list in UTF-8, by their names or the folders that hold them."""
     try:
-        data = listing.read_bytes()
-        encoding = next((name for mark, name in LIST_MARKS.items() if data.startswith(mark)), None)
-        text = os.fsdecode(data) if encoding is None else data.decode(encoding)
-    except (OSError, UnicodeDecodeError) as error:
+        text = os.fsdecode(listing.read_bytes().removeprefix(BYTE_ORDER_MARK))  # names that are no UTF-8 stay
+    except OSError as error:
         raise InputError(f"{listing}: cannot be read as a list of paths: {error}") from None
     if "\0" in text:
-        what = "it holds binary data, or UTF-16 without a mark"
-        raise InputError(f"{listing}: cannot be read as a list of paths: {what}")
-    found: list[Path] = []
-    for line in text.replace("\r\n", "\n").replace("\r", "\n").split("\n"):
-        name = line.strip()
-        if not name or name.startswith("#"):
-            continue
-        entry = listing.parent / name
-        if name[0] == name[-1] and name[0] in "'\"" and len(name) > 2 and not entry.exists():
-            entry = listing.parent / name[1:-1]
-        found.extend(_meshes_below(entry) if entry.is_dir() else [entry])
-    return found
+        raise InputError(f"{listing}: cannot be read as a list of paths: binary data or UTF-16; save it in UTF-8")
+    names = (line.strip() for line in text.replace("\r\n", "\n").replace("\r", "\n").split("\n"))
+    entries = [listing.parent / name for name in names if name and not name.startswith("#")]
+    return [file for entry in entries for file in (_meshes_below(entry) if entry.is_dir() else [entry])]

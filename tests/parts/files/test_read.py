@@ -249,19 +249,19 @@ def test_a_folder_is_searched_deeply_in_order(tmp_path: Path) -> None:
 NAMES = ["b.stl", "a part.stl", "Gehäuse.stl"]
 
 
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
 def test_a_list_may_have_any_line_ends_and_mark(encoding: str, end: str, tmp_path: Path) -> None:
     listing = written(tmp_path / "list.txt", end.join(["# mine", "", *NAMES, ""]).encode(encoding))
     assert mesh_files(listing) == [tmp_path / name for name in NAMES]
 
 
-def test_a_list_may_hold_folders_quotes_and_names_that_are_no_utf_8(tmp_path: Path) -> None:
+def test_a_list_may_hold_folders_and_names_that_are_no_utf_8(tmp_path: Path) -> None:
     odd = os.fsencode(tmp_path) + b"/Geh\xe4use.stl"
     for name in (odd, os.fsencode(tmp_path) + b"/a part.stl"):
         Path(os.fsdecode(name)).write_bytes(b"x")
     inside = written(tmp_path / "more/b.stl", STL)
-    found = mesh_files(written(tmp_path / "list.txt", b'"a part.stl"\nGeh\xe4use.stl\nmore\n'))
+    found = mesh_files(written(tmp_path / "list.txt", b"a part.stl\nGeh\xe4use.stl\nmore\n"))
     assert all(path.is_file() for path in found)
     assert os.fsencode(found[1]) == odd
     assert found[2] == inside
@@ -273,7 +273,7 @@ def test_a_list_may_hold_folders_quotes_and_names_that_are_no_utf_8(tmp_path: Pa
         ("missing", None, "does not exist"),
         ("", None, "no mesh files inside"),
         ("list.txt", b"\xff\xfe\x00", "cannot be read as a list of paths"),
-        ("list.txt", "\n".join(NAMES).encode("utf-16-le"), "UTF-16 without a mark"),
+        ("list.txt", "\n".join(NAMES).encode("utf-16-le"), "UTF-16"),
     ],
 )
 def test_nothing_to_read_is_an_input_error(name: str, data: bytes | None, fact: str, tmp_path: Path) -> None:
