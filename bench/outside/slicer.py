@@ -1,6 +1,6 @@
 """Can what we write be printed? Gives kits and assemblies of a dataset to PrusaSlicer: `make slicer`.
 
-Assemblies are exported as STL and 3MF, kits are made of the dataset's part files by `kit1000 kit`. The slicer has to
+Assemblies are exported as STL, kits are made of the dataset's part files by `kit1000 kit`. The slicer has to
 call each manifold, one body and of the right size, and to slice it. With --bop, BOP's own toolkit reads an export. The
 exit status is 1 when a check fails.
 """
@@ -60,10 +60,9 @@ def slice_fault(slicer: str, file: Path, out: Path) -> str | None:
 
 def printed(geometry: Geometry, scratch: Path) -> Iterator[tuple[Path, np.ndarray]]:
     """Files for a printer, with the sizes (3,) [mm] that they should have."""
-    for ending in ("stl", "3mf"):
-        kit1000("export", geometry.root, "--format", ending, "--out", scratch / ending)
-        for name in sorted(geometry.assemblies):
-            yield scratch / ending / f"{name}.{ending}", 1e3 * geometry.assembly(name).mesh.extents
+    kit1000("export", geometry.root, "--format", "stl", "--out", scratch / "stl")
+    for name in sorted(geometry.assemblies):
+        yield scratch / "stl" / f"{name}.stl", 1e3 * geometry.assembly(name).mesh.extents
     names = sorted(geometry.parts)
     for name in names[:: -(-len(names) // KITS)]:
         kit1000("kit", geometry.root / "parts" / f"{name}.glb", "--unit", "m", "--out", scratch / name)

@@ -49,7 +49,7 @@ def run(
         version: what --version prints after the program; no such option when None.
     """
     _prepare_streams()
-    words = [_without_tilde(word) for word in (sys.argv[1:] if arguments is None else arguments)]
+    words = list(sys.argv[1:] if arguments is None else arguments)
     try:
         with terminated_as_interrupted():  # SIGTERM ends workers and releases locks as Ctrl-C does
             if sys.stdout is None:
@@ -127,14 +127,6 @@ def _run(command: Any, name: str) -> int:
         return command.run()
     except SystemExit as error:
         raise internal_error(name, error) from error
-
-
-def _without_tilde(word: str) -> str:
-    """A word with the home folder in place of ~ where the shell left it, as in --out=~/x."""
-    option, equals, value = word.partition("=") if word.startswith("--") else ("", "", word)
-    if not value.startswith("~") or os.path.lexists(value):
-        return word
-    return option + equals + os.path.expanduser(value)
 
 
 def _prepare_streams() -> None:

@@ -173,13 +173,13 @@ class Verify:
 
 @dataclass(frozen=True)
 class Export:
-    """Write assemblies as URDF with open cavities, STL or 3MF in mm; or scenes as MJCF, BOP or MCAP."""
+    """Write assemblies as URDF with open cavities or STL in mm; or scenes as MJCF, BOP or MCAP."""
 
     data: Folder
     """Dataset folder."""
     out: Path
     """Folder to write to."""
-    format: Literal["bop", "mjcf", "urdf", "stl", "3mf", "mcap"] = "urdf"
+    format: Literal["bop", "mjcf", "urdf", "stl", "mcap"] = "urdf"
     """Format to write; mcap is a recording of each scene for 3D viewers."""
     ids: tuple[str, ...] = ()
     """Ids of the assemblies, or of the scenes for bop, mjcf and mcap. Default: all; mcap needs ids."""

@@ -92,33 +92,18 @@ class Move:
         return None if self.base_from_camera is None else self.camera.seen_from(self.base_from_camera)
 
 
-class _Key(msgspec.Struct):
-    """The identity of a move."""
-
-    scene: str
-    sensor: str
-    part: int
-
-
-class _File(msgspec.Struct):
-    """The contents of moves.json, as far as they are checked before it is written."""
+class _MovesFile(msgspec.Struct):
+    """The contents of moves.json."""
 
     format: Literal["kit1000/moves/1"]
     dataset_id: str
-    moves: list[_Key]
-
-
-class _MovesFile(msgspec.Struct):
-    """The contents of moves.json as moves."""
-
-    format: Literal["kit1000/moves/1"]
     moves: list[Move]
 
 
 def read_moves(path: str | Path) -> list[Move]:
     """The moves of a file or of the folder that holds it; raises InputError if it is missing or in another format."""
     file = Path(path) / FILE if Path(path).is_dir() else Path(path)
-    return _checked(file, read_json(file), _MovesFile).moves
+    return _checked(file, read_json(file)).moves
 
 
 def write_moves(folder: Path, dataset_id: str, key: tuple[str, str], moves: Sequence[Move]) -> None:
@@ -126,10 +111,11 @@ def write_moves(folder: Path, dataset_id: str, key: tuple[str, str], moves: Sequ
     path, others = folder / FILE, []
     if path.is_file():
         found = read_json(path)
-        known = _checked(path, found, _File)
+        known = _checked(path, found)
         if known.dataset_id != dataset_id:
             raise InputError(f"{path}: is about dataset {known.dataset_id}, not {dataset_id}; choose another --out")
-        others = [row for row in found["moves"] if (row["scene"], row["sensor"]) != key]
+        pairs = zip(found["moves"], known.moves, strict=True)
+        others = [row for row, move in pairs if (move.scene, move.sensor) != key]
     rows = sorted([*others, *map(_row, moves)], key=lambda row: (row["scene"], row["sensor"], row["part"]))
     if rows:
         write_json(path, {"format": FORMAT, "dataset_id": dataset_id, "moves": rows})
@@ -137,10 +123,10 @@ def write_moves(folder: Path, dataset_id: str, key: tuple[str, str], moves: Sequ
         path.unlink(missing_ok=True)
 
 
-def _checked(path: Path, value: Any, kind: type[Any]) -> Any:
-    """A JSON value as a struct; raises InputError that names file and field."""
+def _checked(path: Path, value: Any) -> _MovesFile:
+    """The checked contents of a file; raises InputError that names file and field."""
     try:
-        return msgspec.convert(value, kind, dec_hook=_vector)
+        return msgspec.convert(value, _MovesFile, dec_hook=_vector)
     except (msgspec.ValidationError, InputError) as error:
         raise InputError(f"{path}: {error}; kit1000 edit writes {FORMAT} anew into another --out") from None
 

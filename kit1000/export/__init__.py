@@ -1,4 +1,4 @@
-"""Export of a dataset: assemblies as URDF, STL or 3MF, scenes as MJCF or in the BOP format; kits of own parts."""
+"""Export of a dataset: assemblies as URDF or STL, scenes as MJCF or in the BOP format; kits of own parts."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.values import Kit, Part
 
-FORMATS = ("urdf", "stl", "3mf", "mjcf", "bop")
+FORMATS = ("urdf", "stl", "mjcf", "bop")
 
 
 def export(
@@ -24,7 +24,7 @@ def export(
         data: dataset folder.
         format: one of FORMATS.
         out: folder to write to. bop: must not exist. urdf: gets a folder for each assembly. mjcf: gets one for each
-            scene. stl, 3mf: gets a file for each assembly, `ID.stl`, and for each of their parts, `part-ID.stl`, as a
+            scene. stl: gets a file for each assembly, `ID.stl`, and for each of their parts, `part-ID.stl`, as a
             printer needs them.
         ids: ids of assemblies, or of scenes for bop and mjcf; all of the split when empty.
         split: train, val or test; all of them when None.
@@ -44,7 +44,9 @@ def export(
         dataset = Dataset(data)
         return write_mjcf(dataset, out, ids, split) if format == "mjcf" else write_bop(dataset, out, ids, split, sensor)
     from kit1000.dataset.geometry import Geometry
+    from kit1000.dataset.mesh_files import stl_bytes
     from kit1000.export.urdf import write_urdf
+    from kit1000.files import write_own
 
     geometry = Geometry(data)
     chosen = list(ids) or sorted(i for i, row in geometry.assemblies.items() if split in (None, row["split"]))
@@ -55,11 +57,11 @@ def export(
         if format == "urdf":
             write_urdf(assembly, out / assembly.id)
         else:
-            _write_solid(out / f"{assembly.id}.{format}", assembly.id, assembly.mesh)
+            write_own(out / f"{assembly.id}.stl", stl_bytes(assembly.mesh))
             part_ids |= {mount.kit.slot.part_id for mount in assembly.mounts}
     for part_id in sorted(part_ids):
         mesh = standing_mesh(geometry.part(part_id), geometry.kit(part_id))
-        _write_solid(out / f"part-{part_id}.{format}", part_id, mesh)
+        write_own(out / f"part-{part_id}.stl", stl_bytes(mesh))
     return out
 
 
@@ -67,12 +69,3 @@ def standing_mesh(part: Part, kit: Kit) -> Mesh:
     """The part on its insertion face, its lowest point at z = 0: mostly its largest flat face is below."""
     turned = part.mesh.moved(Pose(kit.slot.kit_from_part.wxyz, np.zeros(3)))
     return turned.moved(Pose.from_translation((0.0, 0.0, -turned.bounds[0, 2]))).rounded_float32()
-
-
-def _write_solid(path: Path, name: str, mesh: Mesh) -> None:
-    """Write a mesh as STL or 3MF in millimetres, by the ending, unless a file of another origin is there."""
-    from kit1000.dataset.mesh_files import stl_bytes
-    from kit1000.export.threemf import threemf_bytes
-    from kit1000.files import write_own
-
-    write_own(path, stl_bytes(mesh) if path.suffix == ".stl" else threemf_bytes(name, mesh))

@@ -27,7 +27,7 @@ STRAY: Colour = (120, 60, 140)  # the mask is here, and no shape
 NO_RETURN: Colour = (150, 152, 156)
 MOST = 5e-3  # [m] of the residual at full colour
 TILE_WIDTH = 1200  # [px]
-SCALE_STEPS = 11
+LEGEND = f"measured {MOST * 1e3:g} mm nearer: red, farther: blue; mask alone: purple, shape alone: yellow"
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,10 +59,8 @@ def residual_picture(image: LabelledDepth, bodies: Sequence[DrawnBody], scale: f
         outlines[binary_dilation(alone) & ~alone] = colour
     residual = residual_colours(image, shown.depth.astype(float), scale)
     tiles = [_tile(picture[window]) for picture in (outlines, residual)]
-    ImageDraw.Draw(tiles[0])
     _write_names(tiles[0], bodies, image, window)
-    _write_legend(tiles[1])
-    sheet = contact_sheet(tiles, [f"{title}: outlines of the shapes", "measured less shape, mm"], columns=2)
+    sheet = contact_sheet(tiles, [f"{title}: outlines of the shapes", LEGEND], columns=2)
     buffer, about = BytesIO(), PngInfo()
     about.add_text("Software", "kit1000")
     sheet.save(buffer, "PNG", pnginfo=about)
@@ -110,18 +108,3 @@ def _write_names(
         u, v = image.view.camera.project(centre)
         place = ((u - window[1].start) * factor, (v - window[0].start) * factor)
         draw.text(place, body.name, fill=PAPER, font=font, anchor="mm", stroke_width=2, stroke_fill=INK)
-
-
-def _write_legend(tile: Image.Image) -> None:
-    """Write the scale of the colours and what the others mean."""
-    draw, font = ImageDraw.Draw(tile), ImageFont.load_default(size=18)
-    for i, share in enumerate(np.linspace(-1, 1, SCALE_STEPS)):
-        left = 12 + 26 * i
-        draw.rectangle((left, 10, left + 25, 30), fill=tuple(_ramp(np.array(share)).tolist()), outline=INK)
-    draw.text((12, 34), f"-{MOST * 1e3:g} nearer", fill=INK, font=font)
-    draw.text((12 + 26 * SCALE_STEPS, 34), f"farther {MOST * 1e3:g}", fill=INK, font=font, anchor="ra")
-    words = (("shape alone", MISSING), ("mask alone", STRAY), ("no return", NO_RETURN))
-    for i, (word, colour) in enumerate(words):
-        left = 40 + 26 * SCALE_STEPS + 150 * i
-        draw.rectangle((left, 10, left + 25, 30), fill=colour, outline=INK)
-        draw.text((left + 32, 10), word, fill=INK, font=font)

@@ -12,7 +12,8 @@ from typing import Any
 
 from kit1000.editor.session import part_name
 from kit1000.study.plan import CONDITIONS
-from kit1000.study.questionnaire import CONSENT, NAMES, PREFERENCE, SCALES, UNSET, VALUES
+from kit1000.study.questionnaire import CONSENT, PREFERENCE, SCALES, UNSET, VALUES
+from kit1000.study.records import Ratings
 
 FAREWELL_S = 3.0  # [s] for which the last page stays
 
@@ -25,7 +26,7 @@ def ask_consent(server: Any) -> None:
     _wait_for(gui, "Begin", [agrees], lambda: bool(agrees.value))
 
 
-def ask_ratings(server: Any, condition: str) -> dict[str, int]:
+def ask_ratings(server: Any, condition: str) -> Ratings:
     """Show the six scales; returns their ratings when all are set. Nothing is preset."""
     gui = _dressed(server)
     gui.add_markdown(f"## {condition}\n\nHow was it? Rate each from 0 to 100, in steps of 5.")
@@ -34,7 +35,7 @@ def ask_ratings(server: Any, condition: str) -> dict[str, int]:
         gui.add_markdown(f"**{scale.title}** {scale.question} *0: {scale.low.lower()}, 100: {scale.high.lower()}*")
         lists.append(gui.add_dropdown(scale.title, (UNSET, *map(str, VALUES)), initial_value=UNSET))
     _wait_for(gui, "Submit", lists, lambda: all(each.value != UNSET for each in lists))
-    return {name: int(each.value) for name, each in zip(NAMES, lists, strict=True)}
+    return Ratings(*(int(each.value) for each in lists))
 
 
 def ask_preference(server: Any, conditions: Sequence[str]) -> str:

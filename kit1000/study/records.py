@@ -23,7 +23,7 @@ from kit1000.errors import InputError
 from kit1000.files import converted, read_json, write_json
 from kit1000.planner.execute import SEATED
 from kit1000.study.plan import Session, StudyPlan
-from kit1000.study.questionnaire import checked_ratings
+from kit1000.study.questionnaire import HIGHEST, STEP
 
 PEOPLE = "people"  # the folder of all participants
 PARTICIPANT_FILE, PRACTICE_FILE, TRIAL_FILE = "participant.json", "practised.json", "trial.json"
@@ -100,10 +100,24 @@ class TrialRecord(Record, frozen=True, kw_only=True, forbid_unknown_fields=True)
         return sum(part.outcome == SEATED for part in self.parts)
 
 
+Rating = Annotated[int, Meta(ge=0, le=HIGHEST, multiple_of=STEP)]
+
+
+class Ratings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The six ratings; none may be missing."""
+
+    mental: Rating
+    physical: Rating
+    temporal: Rating
+    performance: Rating
+    effort: Rating
+    frustration: Rating
+
+
 class RatingsRecord(Record, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Six ratings after a condition."""
 
-    ratings: Mapping[str, int]
+    ratings: Ratings
 
 
 class Closing(Record, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -167,7 +181,6 @@ class ParticipantFiles:
 def read_participants(study: Path, plan: StudyPlan) -> list[Participant]:
     """All participants by number; raises InputError at the first record that does not belong."""
     everybody = [ParticipantFiles(study, plan, number) for number in range(1, plan.people + 1)]
-    _refuse_others(study / PEOPLE, [files.folder for files in everybody])
     return [_read_participant(files) for files in everybody if any(files.folder.rglob("*.json"))]
 
 
@@ -175,18 +188,14 @@ def _read_participant(files: ParticipantFiles) -> Participant:
     path, sessions = files.folder / PARTICIPANT_FILE, files.plan.sessions(files.number)
     if files.read(path, Participation).consent is None:
         raise InputError(f"{path}: no consent; the records of this participant must not be used")
-    _refuse_others(files.folder, [files.of_session(session) for session in sessions])
     trials, ratings = [], {}
     for session in sessions:
-        tasks = range(len(session.tasks) + 1)
-        _refuse_others(files.of_session(session), [files.of_task(session, task) for task in tasks])
-        for task in tasks[1:]:
+        for task in range(1, len(session.tasks) + 1):
             if (files.of_task(session, task) / TRIAL_FILE).is_file():
                 trials.append(_read_trial(files, session, task))
         answers = files.of_session(session) / RATINGS_FILE
         if answers.is_file():
-            found = files.read(answers, RatingsRecord).ratings
-            ratings[session.condition.name] = checked_ratings(found, str(answers))
+            ratings[session.condition.name] = msgspec.to_builtins(files.read(answers, RatingsRecord).ratings)
     closing = files.folder / CLOSING_FILE
     preferred = files.read(closing, Closing).preferred if closing.is_file() else None
     if preferred is not None and preferred not in files.plan.conditions:
@@ -204,11 +213,3 @@ def _read_trial(files: ParticipantFiles, session: Session, number: int) -> Trial
     if [part.part for part in trial.parts] != list(range(task.kits)):
         raise InputError(f"{path}: parts: expected one result for each of the {task.kits} parts, in order")
     return trial
-
-
-def _refuse_others(folder: Path, expected: list[Path]) -> None:
-    """Raise InputError if a folder has another subfolder than the expected ones."""
-    for path in sorted(folder.glob("*/")):
-        if path not in expected:
-            names = f"{expected[0].name} to {expected[-1].name}"
-            raise InputError(f"{path}: the plan has no such folder; expected {names}: move it away")

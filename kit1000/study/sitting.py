@@ -24,7 +24,6 @@ from kit1000.editor.serve import NO_SNAP, Options, editing, serving
 from kit1000.metrics import Targets, pose_errors, seatings
 from kit1000.planner.execute import SEATED, PartRun, robot_at
 from kit1000.pose import Pose
-from kit1000.study.clock import TaskClock
 from kit1000.study.pages import TaskPanel, ask_consent, ask_preference, ask_ratings, say_goodbye
 from kit1000.study.plan import Session
 from kit1000.study.questionnaire import CONSENT_VERSION
@@ -48,12 +47,68 @@ from kit1000.values import Truth
 from kit1000.version import __version__
 
 PRACTICE = 0
+SECONDS_A_KIT = 60.0  # the paper's rule: in a task of n kits an upload may start within n minutes
 FINISH, UPLOAD = "finish", "upload"
 NOT_UPLOADED = "not uploaded"
 TICK_S = 1.0  # [s] between two looks at the clock
 DECIMALS = 3  # of mm, degrees and seconds in records
 Execute = Callable[[Mapping[int, Pose]], Sequence[PartRun]]
 """Executes the motions, goal_from_now, of parts that it has not moved before."""
+
+
+def time_limit(kits: int) -> float:
+    """[s] until which an upload may start."""
+    return SECONDS_A_KIT * kits
+
+
+@dataclass
+class TaskClock:
+    """Specification and execution seconds of one task.
+
+    It runs from the moment the scene is shown while the participant specifies, and advances by the robot's own seconds
+    when an upload is executed; an upload that started in time runs to its end.
+    """
+
+    kits: int
+    now: Callable[[], float]
+    """[s] of a clock that never goes back."""
+    specification: float = 0.0
+    """[s] until it was last stopped."""
+    execution: float = 0.0
+    """[s] of the robot."""
+    _since: float | None = field(default=None, init=False)
+
+    def start(self) -> None:
+        """The participant is in charge from now on."""
+        if self._since is None:
+            self._since = self.now()
+
+    def stop(self) -> None:
+        """The participant is no longer in charge: the robot works, or the page is closed."""
+        self.specification, self._since = self.specified, None
+
+    @property
+    def specified(self) -> float:
+        """[s] for which the participant has been in charge."""
+        return self.specification + (0.0 if self._since is None else self.now() - self._since)
+
+    @property
+    def reading(self) -> float:
+        """[s]"""
+        return self.specified + self.execution
+
+    @property
+    def left(self) -> float:
+        """[s] in which an upload may still start; 0 if none may."""
+        return max(time_limit(self.kits) - self.reading, 0.0)
+
+    def may_upload(self) -> bool:
+        """Whether an upload may start now."""
+        return self.reading < time_limit(self.kits)
+
+    def executed(self, seconds: float) -> None:
+        """Add the seconds of the robot for an upload."""
+        self.execution += seconds
 
 
 @dataclass(frozen=True)

@@ -170,15 +170,6 @@ def test_the_report_of_a_kit_is_printed(files: Path, tmp_path: Path, capsys: pyt
     assert err == ""
 
 
-def test_a_plate_beyond_a_usual_bed_is_noted(files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    line = ["kit", str(files / "good.stl"), "--out", str(tmp_path / "out"), "--unit", "mm", "--no-preview", "--fit-mm"]
-    assert main([*line, "300"]) == 0
-    note = "note       the plate is larger than the bed of a usual printer, 250 mm\n"
-    assert note in capsys.readouterr().out
-    assert main([*line, "200"]) == 0
-    assert note not in capsys.readouterr().out
-
-
 def test_an_inexact_kit_ends_with_status_1_and_one_line(
     files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -205,15 +196,6 @@ def test_generate_and_info_print_the_same_summary(tmp_path: Path, capsys: pytest
     assert capsys.readouterr() == (built.out, f"{tmp_path}/out is complete: nothing to do\n")
 
 
-@pytest.mark.usefixtures("fake_scenes")
-def test_meshes_written_by_a_run_are_no_sources_of_the_next(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    l_shape_sources(tmp_path, (24,))
-    line = ["generate", "tiny", "--out", f"{tmp_path}/out", "--parts", f"{tmp_path}", "--workers", "1"]
-    assert main(line) == 0
-    assert main(line) == 0
-    assert capsys.readouterr().err == f"{tmp_path}/out is complete: nothing to do\n"
-
-
 @pytest.mark.usefixtures("quick_pictures")
 @pytest.mark.parametrize("what", ["parts", "kits", "assemblies"])
 def test_show_draws_every_kind(what: str, data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -222,13 +204,6 @@ def test_show_draws_every_kind(what: str, data: Path, tmp_path: Path, capsys: py
     assert capsys.readouterr() == (f"{picture}\n", "")
     with Image.open(picture) as image:
         assert image.size[0] > 2 * 400
-
-
-@pytest.mark.usefixtures("fake_scenes")
-def test_a_split_without_parts_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    generate(MINI, tmp_path / "out", workers=1, sources=l_shape_sources(tmp_path / "files", (24,)))
-    assert main(["show", f"{tmp_path}/out", "--split", "test"]) == 2
-    assert capsys.readouterr().err == f"kit1000: {tmp_path}/out: no assemblies in split 'test'\n"
 
 
 def test_an_unfinished_dataset_is_named_as_such(
@@ -271,16 +246,6 @@ def test_an_interrupted_generate_ends_in_one_line_and_can_be_continued(how: sign
     generate(TINY, out, workers=1, sources=sources)
     generate(TINY, tmp_path / "whole", workers=1, sources=sources)
     assert file_hashes(out) == file_hashes(tmp_path / "whole")
-
-
-def test_an_interrupt_while_workers_start_is_one_line_too(tmp_path: Path) -> None:
-    l_shape_sources(tmp_path / "files", WIDTHS)
-    run = command("generate", "tiny", "--out", tmp_path / "out", "--parts", tmp_path / "files", "--workers", "2")
-    wait_for(tmp_path / "out", "plan.json", run)
-    time.sleep(0.1)
-    os.killpg(run.pid, signal.SIGINT)
-    assert run.communicate(timeout=30)[1] == INTERRUPTED
-    assert run.returncode == 130
 
 
 def test_an_interrupted_kit_ends_in_one_line(files: Path, tmp_path: Path) -> None:
@@ -339,3 +304,12 @@ def test_the_text_of_a_summary_does_not_depend_on_its_order() -> None:
     assert "refused val-s0000: no room" in text
     assert text.endswith("\n  3 of 4 mesh files taken as parts; the others: 1x empty file")
     assert "(seed withheld, " in summary_text(head | {"counts": counts, "redraws": {}, "seed": None} | refused)
+
+
+def test_a_plate_beyond_a_usual_bed_is_noted(files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    line = ["kit", str(files / "good.stl"), "--out", str(tmp_path / "out"), "--unit", "mm", "--no-preview", "--fit-mm"]
+    assert main([*line, "300"]) == 0
+    note = "note       the plate is larger than the bed of a usual printer, 250 mm\n"
+    assert note in capsys.readouterr().out
+    assert main([*line, "200"]) == 0
+    assert note not in capsys.readouterr().out

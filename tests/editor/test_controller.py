@@ -285,14 +285,6 @@ def test_a_session_with_true_shapes_says_so_everywhere(mini: Path, tmp_path: Pat
         EventLog(tmp_path, header_of(scene_of(mini)))
 
 
-def test_failures_of_a_method_are_said_without_markup(scene: EditedScene, tmp_path: Path) -> None:
-    table, part = desk(scene, tmp_path), scene.parts[0]
-    dragged(table, part, scene.plates[0].point)
-    table.controller.received(Result(Job(part, None), [], "no <b>luck</b> [x](y)"))
-    assert "no bluck/b x(y)" in table.stage.texts["fit"]
-    assert plain("<script>`a`|#") == "scripta"
-
-
 def test_known_shapes_replace_what_is_seen_and_doubts_are_marked(
     scene: EditedScene, mini: Path, tmp_path: Path
 ) -> None:
@@ -341,3 +333,11 @@ def test_fits_that_nobody_can_tell_apart_are_one() -> None:
     pivot = np.array([0.1, 0.2, 0.0])
     fits = [Proposal(Pose.from_translation((x, 0.0, 0.0)), 0.5) for x in (0.0, 0.0009, 0.0011, 0.01)]
     assert distinct(fits, pivot) == [fits[0], fits[2], fits[3]]
+
+
+def test_failures_of_a_method_are_said_without_markup(scene: EditedScene, tmp_path: Path) -> None:
+    table, part = desk(scene, tmp_path), scene.parts[0]
+    dragged(table, part, scene.plates[0].point)
+    table.controller.received(Result(Job(part, None), [], "no <b>luck</b> [x](y)"))
+    assert "no bluck/b x(y)" in table.stage.texts["fit"]
+    assert plain("<script>`a`|#") == "scripta"

@@ -13,7 +13,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kit1000.capture.pose_files import stated_pose
-from kit1000.cli import main
 from kit1000.dataset.reader import Dataset
 from kit1000.editor.moves import FILE, FramedMove, Move, read_moves, write_moves
 from kit1000.editor.scene import EditedScene
@@ -215,16 +214,6 @@ def test_the_camera_in_the_base_of_a_robot_comes_from_a_file_or_from_the_dataset
     (copy / "dataset.json").write_text(json.dumps(summary))
     with pytest.raises(InputError, match=r"dataset\.json: config: base_from_camera: no pose"):
         EditedScene.open(Dataset(copy), KEY[0], "ideal", False)
-
-
-def test_a_bad_pose_file_ends_the_command_before_it_begins(
-    mini: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "pose.json").write_text("[1, 2]")
-    options = ["--scene", KEY[0], "--out", str(tmp_path / "out"), "--base-from-camera", str(tmp_path / "pose.json")]
-    assert main(["edit", str(mini), *options]) == 2
-    assert "pose.json: no pose" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
 
 
 def test_the_python_of_the_page_reads_the_file(

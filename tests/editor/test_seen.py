@@ -28,7 +28,6 @@ CAMERA = Camera(640, 360, 460.0, 460.0, 319.5, 179.5)
 VIEW_POSE = look_at((0.05, -0.5, 0.6), (0.0, 0.0, 0.03))
 TILT = np.radians(20)
 WORLD_FROM_PLATE = Pose.from_rotvec((TILT, 0.0, 0.0), (0.0, 0.05, 0.06))  # z = 0 is the plate's face
-DEPTH = 12e-3
 EYE = Eye(look_at((0.0, -0.7, 0.5), (0.0, 0.0, 0.0)), float(np.radians(45)), 1.5)
 
 
@@ -94,12 +93,6 @@ def test_no_triangle_bridges_a_step_in_depth() -> None:
     assert len(surface.faces) == 2 * 59 * (39 + 39)
 
 
-def test_nothing_seen_is_an_empty_mesh() -> None:
-    view = View(CAMERA, VIEW_POSE, np.zeros((360, 640), np.float32))
-    for mask in (np.zeros((360, 640), bool), np.ones((360, 640), bool)):
-        assert len(seen_surface(view, mask).faces) == 0
-
-
 def test_a_skirt_closes_a_part_down_to_the_table() -> None:
     part = seen()[2]
     edges = np.concatenate([part.faces[:, [0, 1]], part.faces[:, [1, 2]], part.faces[:, [2, 0]]])
@@ -124,11 +117,6 @@ def test_two_plates_in_one_plane_are_two() -> None:
     plates = find_plates(View(CAMERA, VIEW_POSE, image.depth), np.isin(image.body_ids, (1, 2)), IDEAL.noise)
     assert len(plates) == 2
     assert sorted(round(float(plate.point[0]), 2) for plate in plates) == [-0.11, 0.11]
-
-
-def test_where_nothing_is_seen_no_plate_is_found() -> None:
-    view, labels = pictured()
-    assert find_plates(view, labels == 9, IDEAL.noise) == []
 
 
 @pytest.mark.parametrize(("x", "y", "plate"), [(0.035, 0.0, True), (0.0, 0.0, True), (0.0, -0.16, False)])
@@ -160,12 +148,6 @@ def test_a_hole_in_what_is_seen_of_a_plate_is_not_the_table_below_it() -> None:
     beside = pointing.support(EYE, EYE.screen(WORLD_FROM_PLATE.apply((0.055, 0.0, 0.0))))
     assert beside is not None
     assert beside.plate is not plates[0]
-
-
-def test_off_the_table_there_is_nothing_to_stand_on() -> None:
-    pointing = Pointing(seen()[1], [])
-    assert pointing.support(EYE, (0.5, 0.0)) is None
-    assert pointing.support(EYE, (-3.0, 0.5)) is None
 
 
 @given(st.floats(0, 1), st.floats(0, 1))

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from kit1000.editor.session import LIKELY, UNTOUCHED, PartEdit, Session
-from kit1000.errors import InputError
+from kit1000.editor.session import LIKELY, UNTOUCHED, Session
 from kit1000.pose import Pose
 
 PARTS = (0, 2, 5)
@@ -94,21 +92,3 @@ def test_moving_by_hand_takes_back_snap_and_confirmation() -> None:
 def test_a_fit_below_likely_is_snapped_but_unsure() -> None:
     assert UNTOUCHED.taken(Pose.identity(), LIKELY).state == "snapped"
     assert UNTOUCHED.taken(Pose.identity(), np.nextafter(LIKELY, 0)).state == "unsure"
-
-
-def test_an_operation_without_effect_leaves_no_trace() -> None:
-    session = Session.begin(PARTS)
-    assert session.did("move", {0: UNTOUCHED.moved(Pose.identity())}) is session
-    assert session.undo() is session
-    assert session.redo() is session
-
-
-@pytest.mark.parametrize("confidence", [-0.1, 1.1, np.nan])
-def test_a_confidence_is_a_share(confidence: float) -> None:
-    with pytest.raises(InputError, match="confidence"):
-        PartEdit(Pose.identity(), confidence=confidence)
-
-
-def test_a_part_that_is_not_there_is_refused() -> None:
-    with pytest.raises(InputError, match="part 1: expected one of 0, 2, 5"):
-        Session.begin(PARTS).did("move", {1: UNTOUCHED})

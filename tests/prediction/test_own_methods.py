@@ -22,7 +22,6 @@ from kit1000.files import write_json
 from kit1000.perception.networks.weight_files import load_weights, save_weights
 from kit1000.prediction.making import source_hash, with_weights
 from kit1000.prediction.predict import predict
-from kit1000.predictor import resolved
 from kit1000.submission import read_manifest, read_submission, write_manifest
 from kit1000.weights import WEIGHTS
 from tests.samples.checkout import ROOT
@@ -113,12 +112,6 @@ def test_a_method_that_fails_or_exits_anywhere_is_named_with_its_line(
     assert f"(failing_{kind}.py:{LINES[kind]})" in message
     assert "please report this bug" not in message
     assert kind in ("module", "broken") or message.startswith("test-s0000-p0-snap: ")
-
-
-def test_an_unloadable_module_keeps_its_message() -> None:
-    with pytest.raises(InputError, match="No module named 'nobody_has_this'"):
-        resolved("nobody_has_this:predict")
-    assert issubclass(InternalError, Exception)
 
 
 @pytest.fixture(scope="module")

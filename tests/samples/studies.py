@@ -18,6 +18,7 @@ from kit1000.study.records import (
     ParticipantFiles,
     Participation,
     PartResult,
+    Ratings,
     RatingsRecord,
     TrialRecord,
 )
@@ -69,6 +70,6 @@ def write_participant(files: ParticipantFiles, effect: float = 20.0, seed: int =
             seated = max(SIZES[task - 1] - second - int(rng.integers(2)), 0)
             seconds = round(40 + effect * second + 6 * float(rng.standard_normal()), 3)
             files.write(files.of_task(session, task) / TRIAL_FILE, trial_of(files, session, task, seated, seconds))
-        ratings = {name: int(5 * rng.integers(4, 10) + 20 * second) for name in NAMES}
+        ratings = Ratings(*(int(5 * rng.integers(4, 10) + 20 * second) for _ in NAMES))
         files.write(files.of_session(session) / RATINGS_FILE, files.record(RatingsRecord, ratings=ratings))
     files.write(files.folder / CLOSING_FILE, files.record(Closing, preferred=plan.conditions[0]))

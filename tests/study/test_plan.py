@@ -71,18 +71,7 @@ def test_a_plan_comes_back_from_its_file(tmp_path: Path) -> None:
     assert read_plan(tmp_path).id == plan.id != plan_of(8, seed=8).id
 
 
-CHANGES: list[dict[str, object]] = [
-    {"people": 16},
-    {"seed": 1},
-    {"orders": []},
-    {"people": "many"},
-    {"conditions": ["scene"]},
-    {"tasks": None},
-    {"format": "other"},
-]
-
-
-@pytest.mark.parametrize("change", CHANGES, ids=lambda change: next(iter(change)))
+@pytest.mark.parametrize("change", [{"people": 16}, {"orders": []}, {"conditions": ["scene"]}, {"format": "other"}])
 def test_a_changed_plan_is_refused_in_one_line(tmp_path: Path, change: dict[str, object]) -> None:
     write_plan(tmp_path, plan_of())
     path = tmp_path / FILE
@@ -90,11 +79,6 @@ def test_a_changed_plan_is_refused_in_one_line(tmp_path: Path, change: dict[str,
     with pytest.raises(InputError) as refusal:
         read_plan(tmp_path)
     assert "\n" not in str(refusal.value)
-
-
-def test_a_folder_without_a_plan_says_how_to_make_one(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="kit1000 study DATA --people 12"):
-        read_plan(tmp_path)
 
 
 @dataclass

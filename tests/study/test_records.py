@@ -13,6 +13,7 @@ import pytest
 from kit1000.errors import InputError
 from kit1000.study import statistics
 from kit1000.study.plan import StudyPlan
+from kit1000.study.questionnaire import NAMES
 from kit1000.study.records import ParticipantFiles, TrialRecord, read_participants
 from kit1000.study.report import write_report
 from tests.samples.studies import plan_of, trial_of, write_study
@@ -81,10 +82,6 @@ def cut(name: str) -> Callable[[Path], None]:
     return cut_file
 
 
-def copied(source: str, target: str) -> Callable[[Path], None]:
-    return lambda folder: shutil.copytree(folder / source, folder / target) and None
-
-
 DAMAGES: list[tuple[Callable[[Path], None], tuple[str, ...]]] = [
     (cut("trial.json"), ("trial.json",)),
     (cut("participant.json"), ("participant.json",)),
@@ -101,14 +98,12 @@ DAMAGES: list[tuple[Callable[[Path], None], tuple[str, ...]]] = [
     (edited("trial.json", comment="nice"), ("trial.json", "comment")),
     (edited("trial.json", kits=None), ("trial.json", "kits")),
     (edited("participant.json", consent=None), ("participant.json", "consent")),
+    *(
+        (edited("ratings.json", ratings=dict.fromkeys(NAMES, 50) | {name: value}), ("ratings.json", name))
+        for name, value in (("effort", 7), ("mental", 105), ("mental", -5), ("mental", "50"), ("mentl", 50))
+    ),
     (edited("ratings.json", ratings={"mental": 5}), ("ratings.json", "physical")),
-    (edited("ratings.json", ratings=None), ("ratings.json", "ratings")),
     (edited("closing.json", preferred="hand-bare"), ("closing.json", "preferred", "hand-bare")),
-    (copied("people/p001", "people/p0001"), ("p0001", "p004")),
-    (copied("people/p001", "people/p009"), ("p009", "p004")),
-    (copied("people/p001", "people/anna"), ("anna", "p001")),
-    (copied("people/p001/1-hand", "people/p001/3-hand"), ("3-hand", "1-hand")),
-    (copied("people/p001/1-hand/task-1", "people/p001/1-hand/task-9"), ("task-9", "task-4")),
 ]
 
 

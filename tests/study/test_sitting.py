@@ -10,6 +10,8 @@ from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from msgspec.structs import replace
 
 pytest.importorskip("viser")
@@ -23,7 +25,7 @@ from kit1000.study import sitting
 from kit1000.study.pages import TaskPanel
 from kit1000.study.plan import write_plan
 from kit1000.study.records import PRACTICE_FILE, ParticipantFiles, PartResult
-from kit1000.study.sitting import FINISH, UPLOAD, Sitting, TaskPage
+from kit1000.study.sitting import FINISH, UPLOAD, Sitting, TaskClock, TaskPage, time_limit
 from tests.samples.editing import desk, dragged, goal, scene_of
 from tests.samples.studies import plan_of, write_participant
 
@@ -150,3 +152,59 @@ def test_a_sitting_and_a_report_cannot_be_combined(
 ) -> None:
     assert main(["study", str(mini), "--out", str(tmp_path), "--participant", "1", "--report"]) == 2
     assert "--participant" in capsys.readouterr().err
+
+
+class Now:
+    def __init__(self) -> None:
+        self.seconds = 100.0
+
+    def __call__(self) -> float:
+        return self.seconds
+
+
+@pytest.mark.parametrize("kits", [1, 2, 3])
+@pytest.mark.parametrize("robot", [0.0, 40.0])
+def test_an_upload_may_start_until_the_last_millisecond(kits: int, robot: float) -> None:
+    now = Now()
+    clock = TaskClock(kits, now)
+    clock.start()
+    clock.executed(robot)
+    now.seconds += 60.0 * kits - robot - 0.001
+    assert clock.may_upload()
+    assert clock.left == pytest.approx(0.001)
+    now.seconds += 0.002
+    assert not clock.may_upload()
+    assert clock.left == 0
+
+
+def test_the_clock_stands_still_while_the_participant_is_not_in_charge() -> None:
+    now = Now()
+    clock = TaskClock(2, now)
+    now.seconds += 5
+    assert clock.reading == 0
+    clock.start()
+    now.seconds += 5
+    clock.stop()
+    now.seconds += 50
+    assert clock.reading == 5
+    clock.executed(23)
+    clock.start()
+    clock.start()  # twice is once
+    now.seconds += 1
+    assert (clock.specified, clock.execution, clock.reading) == (6, 23, 29)
+
+
+@given(st.lists(st.tuples(st.sampled_from(["start", "stop", "wait", "run"]), st.floats(0, 50)), max_size=20))
+def test_the_clock_never_goes_back(steps: list[tuple[str, float]]) -> None:
+    now = Now()
+    clock, before = TaskClock(3, now), 0.0
+    for kind, seconds in steps:
+        if kind == "wait":
+            now.seconds += seconds
+        elif kind == "run":
+            clock.executed(seconds)
+        else:
+            getattr(clock, kind)()
+        assert clock.reading >= before - 1e-9
+        assert clock.may_upload() == (clock.reading < time_limit(3))
+        before = clock.reading

@@ -1,12 +1,9 @@
-"""Tests of STL and 3MF export: other readers find assemblies and parts, in millimetres, on z = 0."""
+"""Tests of STL export: other readers find assemblies and parts, in millimetres, on z = 0."""
 
 from __future__ import annotations
 
-import io
-import zipfile
 from pathlib import Path
 
-import lxml.etree as etree
 import numpy as np
 import pytest
 import trimesh
@@ -14,22 +11,17 @@ import trimesh
 from kit1000.dataset.geometry import Geometry
 from kit1000.errors import InputError
 from kit1000.export import FORMATS, export, standing_mesh
-from kit1000.export.threemf import threemf_bytes
 from kit1000.mesh import Mesh, solid_from_mesh
 from kit1000.parts.files.read import read_mesh
-from tests.samples.kits import sample_part
 from tests.samples.labelled_scenes import shapes_folder
-
-ENDINGS = ("stl", "3mf")
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A dataset folder of an assembly of two kits; it is exported to the folders `stl` and `3mf` beside it."""
+    """A dataset folder of an assembly of two kits; it is exported to the folder `stl` beside it."""
     folder = tmp_path_factory.mktemp("export") / "data"
     shapes_folder(folder)
-    for ending in ENDINGS:
-        assert export(folder, ending, folder.parent / ending) == folder.parent / ending
+    assert export(folder, "stl", folder.parent / "stl") == folder.parent / "stl"
     return folder
 
 
@@ -44,10 +36,9 @@ def meshes(geometry: Geometry) -> dict[str, Mesh]:
     return parts | {i: geometry.assembly(i).mesh for i in geometry.assemblies}
 
 
-@pytest.mark.parametrize("ending", ENDINGS)
-def test_files_read_back_are_the_assemblies_and_parts_in_millimetres(ending: str, geometry: Geometry) -> None:
+def test_files_read_back_are_the_assemblies_and_parts_in_millimetres(geometry: Geometry) -> None:
     expected = meshes(geometry)
-    paths = {path.stem: path for path in (geometry.root.parent / ending).iterdir()}
+    paths = {path.stem: path for path in (geometry.root.parent / "stl").iterdir()}
     assert paths.keys() == expected.keys()
     for name, mesh in expected.items():
         seen = trimesh.load_scene(paths[name]).to_mesh()
@@ -55,44 +46,21 @@ def test_files_read_back_are_the_assemblies_and_parts_in_millimetres(ending: str
         assert seen.volume == pytest.approx(mesh.volume * 1e9, rel=1e-6)
         np.testing.assert_allclose(seen.bounds, mesh.bounds * 1e3, atol=1e-4)
         assert seen.bounds[0, 2] == pytest.approx(0, abs=1e-4)  # it stands, z up
-        reading = read_mesh(paths[name], None if ending == "3mf" else "mm")
+        reading = read_mesh(paths[name], "mm")
         assert (reading.unit, reading.unit_guessed) == ("mm", False)
         np.testing.assert_allclose(reading.mesh.extents, mesh.extents, atol=1e-7)
 
 
-@pytest.mark.parametrize("ending", ENDINGS)
-def test_parts_seat_in_the_assembly_read_back(ending: str, geometry: Geometry) -> None:
+def test_parts_seat_in_the_assembly_read_back(geometry: Geometry) -> None:
     (assembly_id,) = geometry.assemblies
     assembly = geometry.assembly(assembly_id)
-    seen = trimesh.load_scene(geometry.root.parent / ending / f"{assembly_id}.{ending}").to_mesh()
+    seen = trimesh.load_scene(geometry.root.parent / "stl" / f"{assembly_id}.stl").to_mesh()
     solid = solid_from_mesh(Mesh(seen.vertices, seen.faces))
     for mount in assembly.mounts:
         up = mount.assembly_from_kit.rotate([0.0, 0.0, 1.0])
         seated = mount.assembly_from_kit @ mount.kit.slot.kit_from_part
         part = solid_from_mesh(geometry.part(mount.kit.id).mesh.moved(seated).scaled(1e3))
         assert part.translate(tuple(up)).min_gap(solid, 5) == pytest.approx(1, abs=0.01)  # a millimetre off its floor
-
-
-def test_a_3mf_is_a_package_of_one_object_with_every_vertex_and_face_to_the_bit() -> None:
-    name, mesh = '<kits & "parts">', sample_part("tee").mesh
-    data = threemf_bytes(name, mesh)
-    assert data == threemf_bytes(name, mesh)
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        assert archive.testzip() is None
-        names = archive.namelist()
-        types, relations, root = (etree.fromstring(archive.read(each)) for each in names)
-    assert names == ["[Content_Types].xml", "_rels/.rels", "3D/3dmodel.model"]
-    assert {node.attrib["Extension"] for node in types} == {"rels", "model"}
-    assert [node.attrib["Target"] for node in relations] == ["/3D/3dmodel.model"]
-    space = {"c": "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"}
-    assert root.attrib["unit"] == "millimeter"
-    assert [item.attrib["objectid"] for item in root.findall("c:build/c:item", space)] == ["1"]
-    (thing,) = root.findall("c:resources/c:object", space)
-    assert (thing.attrib["id"], thing.attrib["name"]) == ("1", name)
-    vertices = [[float(v.attrib[axis]) for axis in "xyz"] for v in thing.iterfind("c:mesh/c:vertices/c:vertex", space)]
-    faces = [[int(t.attrib[v]) for v in ("v1", "v2", "v3")] for t in thing.iterfind("c:mesh/c:triangles/*", space)]
-    np.testing.assert_array_equal(vertices, mesh.vertices * 1e3)
-    np.testing.assert_array_equal(faces, mesh.faces)
 
 
 @pytest.mark.parametrize("format", ["urdf", "stl"])
