@@ -216,15 +216,6 @@ class Controller:
             self._move_by_key(KEY_MOTIONS[verb], space.selected, eye)
 
     @exclusive
-    def return_to(self, count: int) -> None:
-        """Undo or redo until `count` operations are done."""
-        if self._is_held():
-            return
-        self.log.add("return", count=count)
-        self.space.session = self.space.session.returned(count)
-        self._adopt()
-
-    @exclusive
     def received(self, result: Result) -> None:
         """What the worker has found."""
         (part, guess), space = result.job, self.space

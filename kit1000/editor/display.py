@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
@@ -62,10 +61,6 @@ class Stage(Protocol):
 
     def progress(self, share: float, /) -> None:
         """How much of the background work is done, 0 to 1."""
-        ...
-
-    def history(self, names: Sequence[str], done: int, /) -> None:
-        """List the operations, done and undone; the first `done` of them are done."""
         ...
 
     def gizmo(self, pose: Pose | None, /) -> None:
@@ -129,8 +124,6 @@ class Display:
         in_hand = self._part_in_hand()
         self.stage.say("parts", texts.parts_list(edits, in_hand, sought, space.scene.known))
         self.stage.say("fit", self._fit_text())
-        names = [operation.name for operation in (*space.session.done, *reversed(space.session.undone))]
-        self.stage.history(names, len(space.session.done))
         self._gizmo()
 
     def note(self, text: str) -> None:

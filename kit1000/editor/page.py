@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol
 
 import numpy as np
 import viser
@@ -22,7 +22,6 @@ from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.sim.layout import TABLE_SIZE
 
-HISTORY_ROWS = 9
 PLACES = ("head", "parts", "fit", "note")
 SKY, SUN = 1.2, 1.9  # lights, by which cavities stand out without shadows
 SUN_AT = (-0.6, -0.5, 1.0)
@@ -77,15 +76,6 @@ class Actor(Protocol):
         ...
 
 
-@runtime_checkable
-class Editor(Actor, Protocol):
-    """An actor with a history."""
-
-    def return_to(self, count: int) -> None:
-        """Undo or redo until `count` operations are done."""
-        ...
-
-
 @dataclass(frozen=True)
 class Panel:
     """What the panel beside the scene contains."""
@@ -95,15 +85,13 @@ class Panel:
     buttons: Mapping[str, Mapping[str, str]]
     """Verbs by the text of their buttons, in named groups."""
     keys: Sequence[Key] = ()
-    history: bool = False
-    """Whether operations are listed."""
     field: str = ""
     """Name of a text field, if there is one."""
 
     @classmethod
     def of_editor(cls, interface: Interface, snaps: bool) -> Panel:
         """The panel of the editor. snaps: whether a method proposes fits."""
-        return cls(help_text(interface, snaps), buttons_of(interface, snaps), keys_of(interface, snaps), history=True)
+        return cls(help_text(interface, snaps), buttons_of(interface, snaps), keys_of(interface, snaps))
 
 
 class ViserStage:
@@ -115,9 +103,6 @@ class ViserStage:
         self._nodes: dict[str, Any] = {}
         self._labels: dict[str, Any] = {}
         self._texts: dict[str, Any] = {}
-        self._rows: list[Any] = []
-        self._counts = range(0)
-        self._history: tuple[tuple[str, ...], int] | None = None
         self._actor: Actor | None = None
         self._acting: int | None = None
         self._aspect = NARROW
@@ -199,22 +184,6 @@ class ViserStage:
         self._progress.value = 100 * share
         self._progress.visible = share < 1
 
-    def history(self, names: Sequence[str], done: int) -> None:
-        """List the latest operations as buttons."""
-        state = (tuple(names), done)
-        if state == self._history:
-            return
-        self._history = state
-        states = ("as recorded", *names)
-        first = max(0, min(done - HISTORY_ROWS // 2, len(states) - HISTORY_ROWS))
-        self._counts = range(first, min(first + HISTORY_ROWS, len(states)))
-        for row, button in enumerate(self._rows):
-            button.visible = row < len(self._counts)
-            if button.visible:
-                count = self._counts[row]
-                button.label = f"{count} · {states[count]}"
-                button.color = "blue" if count == done else "gray"
-
     def gizmo(self, pose: Pose | None) -> None:
         """Show the gizmo, or hide it."""
         if pose is not None and not self._dragging_gizmo:
@@ -257,11 +226,6 @@ class ViserStage:
         self._field = gui.add_text(panel.field, "", visible=bool(panel.field))
         for label, verbs in panel.buttons.items():
             gui.add_button_group(label, tuple(verbs)).on_click(partial(self._group_clicked, verbs))
-        if panel.history:
-            with gui.add_folder("History", expand_by_default=False):
-                self._rows = [gui.add_button("", visible=False) for _ in range(HISTORY_ROWS)]
-        for row, button in enumerate(self._rows):
-            button.on_click(partial(self._history_clicked, row))
         with gui.add_folder("Help"):
             gui.add_markdown(panel.help)
         for key in panel.keys:
@@ -375,10 +339,6 @@ class ViserStage:
 
     async def _group_clicked(self, verbs: Mapping[str, str], event: Any) -> None:
         self._call(event, lambda actor: actor.command(verbs[event.target.value], eye_of(event.client)))
-
-    async def _history_clicked(self, row: int, event: Any) -> None:
-        count = self._counts[row]
-        self._call(event, lambda actor: isinstance(actor, Editor) and actor.return_to(count))
 
 
 def eye_of(client: viser.ClientHandle) -> Eye:

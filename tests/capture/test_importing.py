@@ -12,7 +12,6 @@ import pytest
 from PIL import Image
 
 from kit1000.camera import look_at
-from kit1000.capture import importing
 from kit1000.capture.importing import import_scenes
 from kit1000.capture.options import ImportOptions
 from kit1000.cli import main
@@ -215,6 +214,13 @@ WRONG = {  # by what is typed: facts of the answer
     "{image} {good} --one-scene": "--one-scene|got 1 and 0",
     "{image} {good} --one-scene --world-from-camera {pose}": "--one-scene|got 1 and 1",
     "{image} {image} {good} --one-scene --world-from-camera {pose}": "--one-scene|got 2 and 1",
+    "{image} {good} --kit 0": "--kit 0|from 1 to",
+    "{image} {good} --frames 0": "--frames",
+    "{image} {good} --clearance-mm nan": "--clearance-mm|0.05 to 100|nan",
+    "{image} {good} --baseline-mm inf": "--baseline-mm|inf",
+    "{image} {good} --depth-scale nan": "--depth-scale|nan",
+    "{image} {good} --world-from-camera none.json": "none.json",
+    "{image} {good} --out {image}/mine": "cannot write|depth.png",
 }
 
 
@@ -240,55 +246,6 @@ def test_wrong_input_is_one_line_and_nothing_is_written(
         assert fact in printed.err
     assert not printed.out
     assert sorted(place.rglob("*")) == before
-
-
-IMPOSSIBLE = {  # by the options: facts of the answer
-    "--kit 0": "--kit 0|from 1 to",
-    "--kit 1000000": "--kit 1000000|from 1 to",
-    "--frames 0": "--frames",
-    "--clearance-mm nan": "--clearance-mm|0.05 to 100|nan",
-    "--baseline-mm inf": "--baseline-mm|inf",
-    "--depth-scale nan": "--depth-scale|nan",
-    "--world-from-camera none.json": "none.json",
-    "--out {image}/mine": "cannot write|{image}",
-}
-
-
-@pytest.mark.parametrize("typed", IMPOSSIBLE)
-def test_impossible_values_are_refused_before_anything_is_read(
-    image: Path, typed: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def read(*_: object) -> None:
-        raise AssertionError("an image is read")
-
-    monkeypatch.setattr(importing, "read_groups", read)
-    words = typed.format(image=image).split()
-    assert main(["import", str(image), "--intrinsics", *NUMBERS, *words]) == 2
-    printed = capsys.readouterr()
-    assert printed.err.count("\n") == 1
-    for fact in IMPOSSIBLE[typed].format(image=image).split("|"):
-        assert fact in printed.err
-
-
-def test_intrinsics_of_all_images_are_read_before_a_table_is_sought(
-    image: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    Image.fromarray(DEPTH).save(image.with_name("000007.png"))
-    camera = {"cam_K": [CAMERA.fx, 0, CAMERA.cx, 0, CAMERA.fy, CAMERA.cy, 0, 0, 1], "depth_scale": 1.0}
-    cameras = {"7": camera, "8": camera | {"depth_scale": 0.1}}
-    image.with_name("scene_camera.json").write_text(json.dumps(cameras), encoding="utf-8")
-
-    def sought(*_: object) -> None:
-        raise AssertionError("a table is sought")
-
-    monkeypatch.setattr(importing, "own_scene", sought)
-    sources = (image.with_name("000007.png"), image)
-    with pytest.raises(InputError, match="holds 2 cameras"):
-        import_scenes(
-            ImportOptions(
-                sources=sources, out=image.with_name("out"), intrinsics=(str(image.with_name("scene_camera.json")),)
-            )
-        )
 
 
 HOSTILE = {

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from kit1000.camera import look_at
 from kit1000.capture.depth_frames import DepthFrame
 from kit1000.capture.intrinsics import Intrinsics
 from kit1000.capture.options import ImportOptions
@@ -137,15 +136,6 @@ def test_another_unit_changes_nothing(scene: OwnScene, unit: float) -> None:
     assert (other.image.labels == scene.image.labels).mean() > 0.998
 
 
-def test_from_another_place_the_bodies_have_the_same_sizes(scene: OwnScene) -> None:
-    eye = look_at((0.15, -0.3, 0.75), (0.0, 0.02, 0.0))
-    other = scene_of(millimetres(noisy_depth(exact_depth(eye=eye), 0.05)))
-    assert len(other.parts) == len(scene.parts)
-    for here, there in zip(scene.bodies, other.bodies, strict=True):
-        assert here.sides == pytest.approx(there.sides, abs=5e-3)
-        assert here.height == pytest.approx(there.height, abs=1.5e-3)
-
-
 def test_the_kit_is_the_body_that_is_named() -> None:
     depth = millimetres(exact_depth())
     chosen = scene_of(depth, wanted(kit=2))
@@ -195,12 +185,6 @@ def test_a_pose_that_contradicts_the_image_is_refused(tmp_path: Path, name: str)
     off, fact = FAR[name]
     with pytest.raises(InputError, match=fact):
         scene_of(millimetres(exact_depth()), pose=pose_file(tmp_path, off @ EYE))
-
-
-def test_wrong_intrinsics_show_in_the_sizes(scene: OwnScene) -> None:
-    wrong = Intrinsics(0.53 * CAMERA.fx, 0.53 * CAMERA.fy, CAMERA.cx, CAMERA.cy)
-    other = scene_of(millimetres(exact_depth()), known=wrong)
-    assert other.kit.sides[1] / scene.kit.sides[1] == pytest.approx(1 / 0.53, rel=0.2)
 
 
 METRES = noisy_depth(exact_depth(), 0.05)

@@ -27,7 +27,6 @@ from kit1000.parts.family import make_part
 from kit1000.parts.family_catalog import FAMILIES
 from kit1000.pose import Pose, quaternion_angle
 from kit1000.sim.cameras import CAMERA, in_view
-from kit1000.sim.layout import UPRIGHT
 from kit1000.sim.render import render
 from kit1000.sim.visibility import MAX_SLOT_ANGLE, MIN_CAVITY_SHARE, MIN_PART_PIXELS, MIN_PART_SHARE, slot_visibility
 from kit1000.testing import surface_distances
@@ -273,20 +272,6 @@ def test_the_target_is_drawn_once_in_every_track(sample: SceneSample) -> None:
         assert len(drawn) == 1
         assert drawn == [target] or target not in {row["part"] for row in rows if row["track"] == track}
     assert {row["part"] for row in rows if row["track"] == "curves"} == {target}
-
-
-def test_some_upright_part_has_a_query_without_a_guess(sample: SceneSample) -> None:
-    places = {row["part"] for row in sample.scene.observation.queries if row["track"] == "place"}
-    assert places
-    assert {sample.scene.truth.parts[i]["rest_mode"] for i in places} == {UPRIGHT}
-
-
-def test_the_tracks_of_the_paper_ask_only_where_parts_are_apart(sample: SceneSample) -> None:
-    apart, crowded = sample.again(crowded=0.0), sample.again(crowded=1.0)
-    asked = [{row["track"] for row in made.observation.queries} for made in (apart, crowded)]
-    assert (apart.truth.crowded, crowded.truth.crowded) == (False, True)
-    assert {"snap-tilt"} <= asked[0] - asked[1] <= {"snap-tilt", "place-paper"}
-    assert "curves" in asked[1]
 
 
 def test_all_bodies_are_in_view(sample: SceneSample) -> None:

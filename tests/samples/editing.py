@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -38,7 +37,6 @@ class FakeStage:
     labels: dict[str, str] = field(default_factory=dict)
     texts: dict[str, str] = field(default_factory=dict)
     share: float = 0.0
-    rows: tuple[tuple[str, ...], int] = ((), 0)
     gizmo_pose: Pose | None = None
     looks: list[tuple[np.ndarray, np.ndarray]] = field(default_factory=list)
     flushes: int = 0
@@ -69,9 +67,6 @@ class FakeStage:
 
     def progress(self, share: float, /) -> None:
         self.share = share
-
-    def history(self, names: Sequence[str], done: int, /) -> None:
-        self.rows = tuple(names), done
 
     def gizmo(self, pose: Pose | None, /) -> None:
         self.gizmo_pose = pose

@@ -101,7 +101,6 @@ def test_while_the_robot_works_clock_and_hand_stand_still(mini: Path, tmp_path: 
             dragged(table, part, np.zeros(3))
             for verb in ("undo", "reset-all", "turn-left"):
                 controller.command(verb)
-            controller.return_to(0)
             assert "robot is at work" in table.stage.texts["note"]
             return super().__call__(motions)
 
