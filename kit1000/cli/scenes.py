@@ -272,8 +272,8 @@ class Study:
     def run(self) -> int:
         """Plan, serve or report; prints orders, an address or the path of a report."""
         need_truth(self.data, "study")
-        from kit1000.study.command import Request, run
+        from kit1000.study.command import run
 
         find_own_modules()
-        run(Request(**{name: getattr(self, name) for name in Request.__dataclass_fields__}))
+        run(**vars(self))
         return 0

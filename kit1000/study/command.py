@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,61 +18,45 @@ DEFAULTS: Mapping[str, Any] = {"people": 12, "conditions": DEFAULT, "sensor": "i
 """Values of a new plan, for absent options."""
 
 
-@dataclass(frozen=True)
-class Request:
-    """The options of the command."""
+def run(
+    data: Path, out: Path, participant: int | None = None, port: int | None = None, report: bool = False, **plan: Any
+) -> None:
+    """Plan, serve the sitting of a participant, or report; prints orders, an address or a path.
 
-    data: Path
-    out: Path
-    people: int | None = None
-    conditions: tuple[str, ...] = ()
-    sensor: str | None = None
-    snap: str | None = None
-    seed: int | None = None
-    participant: int | None = None
-    port: int | None = None
-    report: bool = False
-
-
-def run(request: Request) -> None:
-    """Carry out a request, and print orders, an address or a path."""
-    if request.report:
-        if request.participant is not None:
+    plan: values of a new plan; None or empty: that of DEFAULTS.
+    """
+    if report:
+        if participant is not None:
             raise InputError("--participant: is a sitting; leave out --report")
-        print(write_report(request.out))
+        print(write_report(out))
         return
-    check_output(request.out, FILE)
-    with locked(request.out):
-        _work(request)
-
-
-def _work(request: Request) -> None:
-    plan, dataset = _plan(request), Dataset(request.data)
-    if dataset.id != plan.dataset_id:
-        raise InputError(f"{request.data}: is dataset {dataset.id}; the study was planned on {plan.dataset_id}")
-    if request.participant is None:
-        print(plan.as_text())
-    else:
+    check_output(out, FILE)
+    with locked(out):
+        planned, dataset = _plan(data, out, plan), Dataset(data)
+        if dataset.id != planned.dataset_id:
+            raise InputError(f"{data}: is dataset {dataset.id}; the study was planned on {planned.dataset_id}")
+        if participant is None:
+            print(planned.as_text())
+            return
         try:
             from kit1000.study.sitting import Sitting
         except ModuleNotFoundError as error:
             if error.name != "viser":
                 raise
             raise InputError("study: a sitting needs viser: pip install 'kit1000[edit]'") from None
-        files = ParticipantFiles(request.out, plan, request.participant)
-        Sitting(files, dataset, request.port).run()
+        Sitting(ParticipantFiles(out, planned, participant), dataset, port).run()
 
 
-def _plan(request: Request) -> StudyPlan:
+def _plan(data: Path, out: Path, options: Mapping[str, Any]) -> StudyPlan:
     """The plan of the folder, made first if there is none; an option that contradicts it is refused."""
-    stated = {name: value for name in DEFAULTS if (value := getattr(request, name)) not in (None, ())}
-    if not (request.out / FILE).is_file():
-        plan = make_plan(Dataset(request.data), **{**DEFAULTS, **stated})
-        write_plan(request.out, plan)
+    stated = {name: value for name, value in options.items() if value not in (None, ())}
+    if not (out / FILE).is_file():
+        plan = make_plan(Dataset(data), **{**DEFAULTS, **stated})
+        write_plan(out, plan)
         return plan
-    plan = read_plan(request.out)
+    plan = read_plan(out)
     for name, value in stated.items():
         if value != getattr(plan, name):
             shown = " ".join(value) if isinstance(value, tuple) else value
-            raise InputError(f"--{name} {shown}: {request.out} is planned otherwise; choose another --out")
+            raise InputError(f"--{name} {shown}: {out} is planned otherwise; choose another --out")
     return plan

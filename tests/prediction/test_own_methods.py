@@ -51,13 +51,6 @@ def run(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
 
 
-def test_a_method_of_the_folder_is_found_by_the_command(mini: Path, tmp_path: Path) -> None:
-    (tmp_path / "my_method_a.py").write_text(GOOD)
-    done = run(tmp_path, "./my_method_a.py:predict", "--data", str(mini), "--tracks", "snap", "--out", "o")
-    assert done.returncode == 0, done.stderr
-    assert read_manifest(tmp_path / "o/manifest.toml").method == "my_method_a.py:predict"
-
-
 @pytest.mark.parametrize("name", ["./my_method_b.py:predict", "my_method_c.py:predict", "sub/my_method_d.py:predict"])
 def test_a_method_is_named_by_its_file(name: str, mini: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = tmp_path / name.partition(":")[0]
