@@ -29,41 +29,36 @@ def read_stl(data: bytes, max_faces: int) -> TriangleSoup:
     """The triangles of an STL file, at most `max_faces`. Raises MeshRefused with one line if there are none."""
     declared = int.from_bytes(data[80:HEADER], "little") if len(data) >= HEADER else 0
     if len(data) >= HEADER and len(data) == HEADER + FACET.itemsize * declared:
-        return _binary(data, declared, FACET, max_faces)
+        return _binary(data, declared, max_faces)
     check_foreign(data)
     check_narrow(data)
     text = data.rstrip(b"\0\x1a")  # some programs fill up a block of the disk
     if text and all(byte >= 32 or byte in b"\t\n\r\f\v" for byte in text[:4096]):
         return _text(plain_text(text), max_faces)
-    return _odd_binary(data, declared, max_faces)
+    raise MeshRefused(_binary_fault(data, declared))
 
 
-def _odd_binary(data: bytes, declared: int, max_faces: int) -> TriangleSoup:
-    """A binary file with bytes besides its facets: attributes of a fixed length, or a table at the end."""
+def _binary_fault(data: bytes, declared: int) -> str:
+    """What is wrong with a binary file whose size is not that of its declared triangles."""
     if len(data) < HEADER:
-        raise MeshRefused(f"not a mesh: {len(data)} bytes, a binary STL has at least {HEADER}")
+        return f"not a mesh: {len(data)} bytes, a binary STL has at least {HEADER}"
     held, rest = divmod(len(data) - HEADER, FACET.itemsize)
     if held < declared:
-        raise MeshRefused(f"cut short or not an STL: {declared:,} triangles declared, room for {held:,}")
-    size = int.from_bytes(data[HEADER + FACET.itemsize - 2 : HEADER + FACET.itemsize], "little")
-    long = np.dtype([*FACET.descr, ("extra", "V", size)]) if size else FACET
-    fits = size > 0 and len(data) == HEADER + declared * long.itemsize
-    if fits and (np.frombuffer(data, long, declared, HEADER)["attribute"] == size).all():
-        return _binary(data, declared, long, max_faces, (f"ignored {size:,} attribute bytes after each triangle",))
+        return f"cut short or not an STL: {declared:,} triangles declared, room for {held:,}"
     if (np.frombuffer(data, FACET, declared, HEADER)["attribute"] != 0).any():
-        raise MeshRefused("holds attribute bytes of unequal lengths: export it without colours or attributes")
+        return "holds attribute bytes besides its triangles: export it without colours or attributes"
     if rest == 0:  # some programs never go back to write the count
-        raise MeshRefused(f"its header declares {declared:,} triangles, but {held:,} follow: export it again")
+        return f"its header declares {declared:,} triangles, but {held:,} follow: export it again"
     surplus = len(data) - HEADER - FACET.itemsize * declared
-    return _binary(data, declared, FACET, max_faces, (f"ignored {surplus:,} bytes after the last triangle",))
+    return f"holds {surplus:,} bytes after the last triangle: export it without colours or attributes"
 
 
-def _binary(data: bytes, count: int, facet: np.dtype, max_faces: int, notes: tuple[str, ...] = ()) -> TriangleSoup:
+def _binary(data: bytes, count: int, max_faces: int) -> TriangleSoup:
     _check_count(count, max_faces)
-    facets = np.frombuffer(data, facet, count, HEADER)
+    facets = np.frombuffer(data, FACET, count, HEADER)
     with np.errstate(invalid="ignore"):  # a signalling NaN; corners that are no numbers are refused later
         corners = facets["corners"].reshape(-1, 3).astype(np.float64)
-    return _soup(corners, float32_step(corners), notes)
+    return _soup(corners, float32_step(corners))
 
 
 def _text(text: bytes, max_faces: int) -> TriangleSoup:
@@ -95,6 +90,6 @@ def _check_count(count: int, max_faces: int) -> None:
         raise MeshRefused(f"{count:,} triangles, more than {max_faces:,}")
 
 
-def _soup(corners: np.ndarray, step: float, notes: tuple[str, ...] = ()) -> TriangleSoup:
+def _soup(corners: np.ndarray, step: float) -> TriangleSoup:
     """The soup of corners (3 m, 3), three for each triangle."""
-    return TriangleSoup(corners, np.arange(len(corners)).reshape(-1, 3), step=step, notes=notes)
+    return TriangleSoup(corners, np.arange(len(corners)).reshape(-1, 3), step=step)
