@@ -17,6 +17,7 @@ from kit1000.perception.calibration.table import tukey_weights
 
 STEP = 0.6e-3  # [m] by which a shape is moved for slopes: most of a pixel, so that edges of a render change
 LIMITS = np.array([4e-3, 4e-3, 0.12])  # [m], [m], [rad] of one step
+STRIDES = (1, 3, 9)  # multiples of a fine step that are tried: a step falls short, for edges that are off are outliers
 LEAST_STEP = np.array([3e-5, 3e-5, 3e-4])  # below which a shape has arrived
 COARSE, FINE = (15.0, 10.0, 8.0), (6.0, 5.0, 5.0)  # standard deviations of Tukey's weights, by round
 FAR = 9  # [px] such a window while a shape may be some millimetres away
@@ -61,12 +62,21 @@ def fit(
         step = np.linalg.solve(normal, gradient)
         covariance = np.linalg.inv(normal)[:4, :4]
         move = step[:3] * min(1.0, float((LIMITS / np.maximum(np.abs(step[:3]), 1e-12)).min()))
-        shape = shape.at(shape.place + move)
         if free_scale:
             log_scale += float(np.clip(step[3], -3e-3, 3e-3))
+        strides = (1,) if free_scale or reach > FINE[0] else STRIDES
+        shape = _best_stride(image.window(shape, others, scale), shape, [stride * move for stride in strides], used)
         if (np.abs(move) < LEAST_STEP).all():
             break
     return Fit(shape, log_scale if free_scale else 0.0, covariance)
+
+
+def _best_stride(
+    window: Window, shape: StandingShape, moves: Sequence[np.ndarray], used: np.ndarray | None
+) -> StandingShape:
+    """A shape after that of some moves after which it explains the most."""
+    moved = [shape.at(shape.place + move) for move in moves]
+    return moved[0] if len(moved) == 1 else max(moved, key=lambda each: window.gain(each, used))
 
 
 def _equations(

@@ -36,6 +36,7 @@ CAPS = np.array([12e-3, 18e-3, 26e-3, 36e-3, 50e-3, 70e-3, TALLEST])
 CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], bool)
 AROUND_CELLS = 8  # about a mask or a shape, in which a part is searched
 SAME_SPOT, SAME_YAW = 10e-3, 0.35  # [m], [rad] within which two places of one face are one
+SAME_SCORE = 0.02  # [px] by which those of two equal images may differ
 SPOT = 15e-3  # [m] within which places belong to one spot
 FAR_CAMERA = 20.0  # [m] over the table: rays are nearly parallel
 
@@ -192,14 +193,17 @@ def distinct(places: Sequence[Place], most: int) -> list[Place]:
     for place in places:
         if len(kept) == most:
             break
-        if not any(_same(each.shape, place.shape) for each in kept):
+        if not any(_same(each, place) for each in kept):
             kept.append(place)
     return kept
 
 
-def _same(a: StandingShape, b: StandingShape) -> bool:
-    rotation = abs((a.place[2] - b.place[2] + np.pi) % (2 * np.pi) - np.pi)
-    return a.level is b.level and rotation < SAME_YAW and apart(a, b) < SAME_SPOT
+def _same(a: Place, b: Place) -> bool:
+    """Whether near places have one face down at one yaw, or show a symmetric shape alike."""
+    if apart(a.shape, b.shape) > SAME_SPOT:
+        return False
+    rotation = abs((a.shape.place[2] - b.shape.place[2] + np.pi) % (2 * np.pi) - np.pi)
+    return (a.shape.level is b.shape.level and rotation < SAME_YAW) or abs(a.score - b.score) < SAME_SCORE
 
 
 @lru_cache(maxsize=64)

@@ -34,11 +34,11 @@ class Screened(NamedTuple):
 
 
 KIT_SCREENED, KIT_REFINED = Screened(24, 24, 24), 6  # for the kits, and how many of these are refined
-MASK_SCREENED, MASK_REFINED = Screened(40, 40, 1), 3  # for a part over a mask
-SPOT_SCREENED, SPOT_REFINED = Screened(160, 160, 1), 6  # at a spot beside all other bodies
+MASK_SCREENED, MASK_REFINED = Screened(20, 20, 1), 2  # for a part over a mask
+SPOT_SCREENED, SPOT_REFINED = Screened(100, 100, 1), 5  # at a spot beside all other bodies
+DOUBTFUL, DOUBTFUL_SCREENED = 0.018, Screened(450, 450, 2)  # the same for a part that leaves more unexplained
 GRID_SCREENED = Screened(300, 30, 24)  # on the whole table
 RIVALS, SPOT = 3, 25e-3  # of these, that are refined in the whole image, and [m] within which they contradict a pose
-EXCHANGE = 0.9  # of what two parts explain, that they must explain over each other's masks to be exchanged
 ROOM = 8  # [px] in the small image, of windows that places share
 ROUNDS, STAYED = 2, 1e-3  # of searches beside all other bodies, if these move by more [m]
 OTHERS_REACH = 2  # [px] about another mask, whose pixels tell nothing about a part
@@ -62,8 +62,6 @@ class SceneSearch:
         self.grid = grid
         self.rivals: defaultdict[str, list[StandingShape]] = defaultdict(list)
         """For each shape the other poses that were refined beside it."""
-        self.exchanges: dict[tuple[int, int], tuple[StandingShape, StandingShape]] = {}
-        """For two parts that may be over each other's masks, their places there."""
 
     def bodies(self, kits: KnownShape, parts: Sequence[KnownShape]) -> Bodies:
         """Where the kits and the parts are; raises InputError if the image shows no such kits."""
@@ -73,7 +71,7 @@ class SceneSearch:
         self._place_missing(parts, bodies)
         self._settle(bodies, range(1, len(bodies)))
         bodies = self._exchanged(bodies)
-        again = [bodies[0], *(self._well_placed(body, bodies) for body in bodies[1:])]
+        again = [bodies[0], *(body if self._misfit(body, bodies) < BADLY else None for body in bodies[1:])]
         if None in again:
             self._place_missing(parts, again)
             bodies = self._better(bodies, again, range(1, len(bodies)))
@@ -95,7 +93,7 @@ class SceneSearch:
         if not found:
             raise InputError("the image shows no kits of this shape")
         self.rivals[kits.name] = [shape for _, shape in found]
-        return fit(self.image, found[0].shape, reaches=FINE[:2]).shape
+        return fit(self.image, found[0].shape, reaches=2 * FINE).shape
 
     def _candidates(
         self,
@@ -149,11 +147,6 @@ class SceneSearch:
                 if found and found[0].score > 0:
                     gains[i, j], best[i, j] = found[0]
         chosen = linear_sum_assignment(gains, maximize=True)[1]
-        for i, j in combinations(range(len(parts)), 2):
-            now, other = gains[i, chosen[i]] + gains[j, chosen[j]], gains[i, chosen[j]] + gains[j, chosen[i]]
-            first, second = best.get((i, chosen[j])), best.get((j, chosen[i]))
-            if other > EXCHANGE * now and first is not None and second is not None:
-                self.exchanges[i + 1, j + 1] = first, second
         return [best.get((i, j)) for i, j in enumerate(chosen)]
 
     def _used(self, label: int) -> np.ndarray:
@@ -162,37 +155,57 @@ class SceneSearch:
         return np.logical_not(binary_dilation(others, iterations=OTHERS_REACH))[::2, ::2]
 
     def _settle(self, bodies: Bodies, which: Sequence[int]) -> None:
-        """Search the parts with neighbours again at their spots while these neighbours move."""
+        """Search some parts again at their spots, beside all others, while these move."""
         before: dict[int, list[StandingShape]] = {}
         for i in [*which] * ROUNDS:
             body, others = bodies[i], [other for k, other in enumerate(bodies) if k != i and other is not None]
-            if body is not None and not _stayed(before.get(i, []), beside := neighbours(body, others, GAP)):
+            if body is None:
+                continue
+            beside = neighbours(body, others, GAP)
+            if i not in before or not _stayed(before[i], beside):
                 before[i], bodies[i] = beside, self._settled(body, others)
 
     def _settled(self, body: StandingShape, others: Sequence[StandingShape]) -> StandingShape:
         """A part, or the rival at its spot that explains more beside the others."""
-        grid, shape = self.grid.without(others), body.shape
-        near = grid.about(grid.footprint(body))
-        found = self._candidates(near, _part_views(shape), shape, SPOT_SCREENED, SPOT_REFINED, others)
-        most = self.window(body, others).gain(body)
-        for _, rival in found[:RIVALS]:
+        window = self.window(body, others)
+        screened = DOUBTFUL_SCREENED if window.misfit(body) > DOUBTFUL else SPOT_SCREENED
+        most = window.gain(body)
+        for rival in self._at_spot(body.shape, body, others, screened)[:RIVALS]:
             moved = fit(self.image, rival, neighbours(rival, others, GAP), reaches=FINE[:2]).shape
-            self.rivals[shape.name].append(moved)
+            self.rivals[body.shape.name].append(moved)
             gain = self.window(moved, others).gain(moved)
             if gain > most:
                 most, body = gain, moved
         return body
 
-    def _well_placed(self, body: StandingShape | None, bodies: Sequence[StandingShape | None]) -> StandingShape | None:
-        """A body, but None if it is explained badly."""
-        return body if body is not None and self.window(body, bodies).misfit(body) < BADLY else None
+    def _at_spot(
+        self, shape: KnownShape, spot: StandingShape, others: Sequence[StandingShape], screened: Screened
+    ) -> list[StandingShape]:
+        """Places of a shape where another stands, which goes, beside others; the one that explains the most first."""
+        grid = self.grid.without(others)
+        near = grid.about(grid.footprint(spot))
+        return [
+            place.shape for place in self._candidates(near, _part_views(shape), shape, screened, SPOT_REFINED, others)
+        ]
+
+    def _misfit(self, body: StandingShape | None, bodies: Sequence[StandingShape | None]) -> float:
+        """What is not explained about a body; 1 without one."""
+        return 1.0 if body is None else self.window(body, bodies).misfit(body)
 
     def _exchanged(self, bodies: Bodies) -> Bodies:
-        """Bodies of which two have changed their places, if they explain more so."""
-        for (i, j), (first, second) in self.exchanges.items():
-            other = [*bodies]
-            other[i], other[j] = first, second
-            bodies = self._better(bodies, other, (i, j))
+        """Bodies of which two that are in doubt have changed their places, if they explain more so."""
+        doubtful = [i for i, body in enumerate(bodies) if i and body and self._misfit(body, bodies) > DOUBTFUL]
+        for i, j in combinations(doubtful, 2):
+            first, second = bodies[i], bodies[j]
+            assert first is not None
+            assert second is not None
+            others = [body for k, body in enumerate(bodies) if k not in (i, j) and body is not None]
+            over = self._at_spot(first.shape, second, others, SPOT_SCREENED)[:1]
+            under = self._at_spot(second.shape, first, [*others, *over], SPOT_SCREENED)[:1]
+            if over and under:
+                other = [*bodies]
+                other[i], other[j] = over[0], under[0]
+                bodies = self._better(bodies, other, (i, j))
         return bodies
 
     def _better(self, bodies: Bodies, other: Bodies, moved: Sequence[int]) -> Bodies:
