@@ -114,9 +114,12 @@ def register_scene(
     Raises:
         InputError: the image shows no kits, or too little of the table.
     """
-    support = seen_support(image)
-    search = SceneSearch(DisparityImage.of(image, sensor, support), image.labels)
-    bodies = search.bodies(kits, parts)
+    search = SceneSearch(DisparityImage.of(image, sensor, seen_support(image)), image.labels)
+    return registered_from(search, search.bodies(kits, parts), scale_spread)
+
+
+def registered_from(search: SceneSearch, bodies: Bodies, scale_spread: float = SCALE_SPREAD) -> RegisteredScene:
+    """The scene refined from places that are within some millimetres; moves the bodies."""
     scale, spread = _depth_scale(search.image, bodies, scale_spread)
     search.refine(bodies, FINE, scale)
     found = [body for body in bodies if body is not None]
@@ -125,7 +128,7 @@ def register_scene(
         RegisteredBody(body, label if labels.count(label) == 1 else 0, _agreement(body, found, search, scale))
         for body, label in zip(found, labels, strict=True)
     )
-    return RegisteredScene(tuple(registered), support, scale, spread)
+    return RegisteredScene(tuple(registered), search.image.support, scale, spread)
 
 
 def _depth_scale(image: DisparityImage, bodies: Bodies, before: float) -> tuple[float, float]:
