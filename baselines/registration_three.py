@@ -46,7 +46,7 @@ class FourCameras(Registration):
 
     def scene(self, query: Query, geometry: TrueGeometry | None = None) -> PreparedImage:
         """The query's image, with those of the three cameras."""
-        sensor = sensor_of(self.dataset.summary, query.sensor)
+        sensor = sensor_of(self.dataset.summary, query.sensor, query.scene_id)
         return PreparedImage(query, sensor, others=self.views.of(query))
 
 

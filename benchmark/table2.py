@@ -195,7 +195,7 @@ def _mask_finder(task: _Task, path: Path, find: MaskFinder | None) -> Callable[[
     if find is None or not path.is_dir() or read_manifest(path / MANIFEST, path).masks != "predicted":
         return None
     summary = task.dataset.summary
-    return lambda query: find(query, summary["config"]["scale"], sensor_of(summary, task.sensor))
+    return lambda query: find(query, summary["config"]["scale"], sensor_of(summary, task.sensor, query.scene_id))
 
 
 def _execute(

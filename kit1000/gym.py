@@ -127,7 +127,7 @@ class AssemblyEnv(Env):
         from kit1000.perception.sensor_facts import sensor_of
 
         summary = self.dataset.summary
-        facts = sensor_of(summary, query.sensor)
+        facts = sensor_of(summary, query.sensor, query.scene_id)
         return with_predicted_masks(query, summary["config"]["scale"], facts)
 
     def _observation(self) -> Observation:

@@ -43,7 +43,8 @@ def read_intrinsics(words: Sequence[str], image: Path | None = None) -> Intrinsi
     """
     if len(words) == 4:
         try:
-            return Intrinsics(*map(float, words))
+            fx, fy, cx, cy = map(float, words)
+            return Intrinsics(fx, fy, cx, cy)
         except ValueError:
             raise InputError(f"--intrinsics {' '.join(words)}: expected a file or four numbers fx fy cx cy") from None
     if len(words) != 1:
@@ -87,7 +88,8 @@ def _from_row(row: Mapping[str, Any], path: Path) -> Intrinsics:
     centre = next((names for names in CENTRES if all(name in row for name in names)), None)
     if centre is None:
         raise InputError(f"{path}: no principal point: expected cx and cy, or ppx and ppy")
-    return Intrinsics(*(_number(row, name, path) for name in ("fx", "fy", *centre)), **_beside(row, path))
+    fx, fy, cx, cy = (_number(row, name, path) for name in ("fx", "fy", *centre))
+    return Intrinsics(fx, fy, cx, cy, **_beside(row, path))
 
 
 def _matrix(value: Any, what: str) -> np.ndarray:

@@ -63,7 +63,7 @@ def check_base_pose(pose: Pose, up: np.ndarray, distance: float, source: str) ->
     if tilt <= TILTED_DEG and away <= FARTHEST:
         return [line]
     advice = _fitting(
-        pose, lambda reading: tilt_deg(reading, up) <= LEVEL_DEG and reading.xyz @ reading.xyz < FARTHEST**2
+        pose, lambda reading: tilt_deg(reading, up) <= LEVEL_DEG and float(reading.xyz @ reading.xyz) < FARTHEST**2
     )
     if advice or away > FARTHEST:
         raise InputError(f"{line}, expected up to {FARTHEST:g} m: {advice or 'give the position in metres'}")

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from kit1000.cli.capture import ImportImages
 from kit1000.cli.command_line import run
 from kit1000.cli.datasets import Check, Export, Generate, Info, Show, Verify
-from kit1000.cli.labels import Label
+from kit1000.cli.labels import Join, Label
 from kit1000.cli.own_kits import MakeKit
 from kit1000.cli.scenes import Edit, Predict, Run, Study
 from kit1000.version import __version__
@@ -35,6 +35,7 @@ COMMANDS = {
     "import": ImportImages,
     "edit": Edit,
     "label": Label,
+    "join": Join,
     "predict": Predict,
     "run": Run,
     "study": Study,

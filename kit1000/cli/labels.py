@@ -1,10 +1,12 @@
-"""The command that labels scenes with ground truth of your own."""
+"""The commands that label scenes with ground truth of your own, and join their folders."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+from tyro.conf import Positional, arg
 
 from kit1000.cli.options import Folder, OptionalFloat, OptionalId, OptionalInt, OptionalPath
 from kit1000.errors import InputError
@@ -110,3 +112,20 @@ def known_kits(
     if clearance_mm is not None and not 0.05 <= clearance_mm <= 100:
         raise InputError(f"--clearance-mm: expected 0.05 to 100, got {clearance_mm:g}")
     return kits_of_files(kit, part, None if clearance_mm is None else clearance_mm * 1e-3)
+
+
+@dataclass(frozen=True)
+class Join:
+    """Join folders of labelled scenes into one, as the real split; scenes get new ids, licences and names stay."""
+
+    folders: Annotated[Positional[tuple[Path, ...]], arg(metavar="DIR [DIR ...]")]
+    """Folders whose labels are confirmed; an earlier joined folder comes first, so that its ids stay."""
+    out: Path = Path("real")
+    """Folder to write, which must not exist."""
+
+    def run(self) -> int:
+        """Join, and print what came from where."""
+        from kit1000.labelling.joined_folders import join_folders
+
+        print(*join_folders(self.folders, self.out), f"{self.out}: joined", sep="\n")
+        return 0

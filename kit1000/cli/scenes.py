@@ -169,7 +169,7 @@ class Edit(OwnImages):
         dataset = Dataset(data)
         scene, sensor = _chosen_scene(dataset, self.scene, self.sensor)
         shapes = None if kits is None else kits.shapes_for(dataset.summary)
-        method = KNOWN if shapes else _default_method(dataset, sensor) if self.interface == "scene" else "none"
+        method = KNOWN if shapes else _default_method(dataset, scene, sensor) if self.interface == "scene" else "none"
         chosen = (data, scene, out, sensor, self.snap or method)
         serve(Options(*chosen, self.port, self.truth, self.interface, self.base_from_camera, shapes))
         return 0
@@ -235,12 +235,12 @@ def _chosen_scene(dataset: Dataset, scene: str | None, sensor: str | None) -> tu
     return chosen, sensor or next(iter(dataset.recorded_scene(chosen, truth=False).sensors), "ideal")
 
 
-def _default_method(dataset: Dataset, sensor: str) -> str:
+def _default_method(dataset: Dataset, scene: str, sensor: str) -> str:
     """The default method: for an own camera the one with networks for its noise, if torch is installed."""
     from kit1000.capture.mask_networks import networks_available
     from kit1000.perception.sensor_facts import sensor_of
 
-    own = not sensor_of(dataset.summary, sensor).simulated_table
+    own = not sensor_of(dataset.summary, sensor, scene).simulated_table
     return "registration-completed" if own and networks_available() else SNAP
 
 

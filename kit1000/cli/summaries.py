@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from kit1000.dataset.own_scenes import OWN, groups_of_places, is_labelled, is_own
+from kit1000.dataset.own_scenes import JOINED, OWN, groups_of_places, is_labelled, is_own
 from kit1000.errors import shown
 
 MAX_LISTED = 20  # refused files in a summary
@@ -46,7 +46,7 @@ def _own_lines(summary: dict) -> Iterator[str]:
     stated = "not stated" if clearance is None else f"{1e3 * clearance:g} mm"
     licence = shown(summary.get("licence", "licence not stated"))
     yield f"own scenes  {summary['dataset_id']}  ({len(scenes)} scenes, {truth}, clearance {stated}, {licence})"
-    for facts in summary.get("sensors", {}).values():
+    for facts in _sensors(summary):
         step = f"steps of {1e3 * facts['unit']:g} mm" if facts["unit"] else "floats"
         focal = facts["focal_length"]
         recorded = "" if focal is None else f", recorded with fx {focal:.1f} px"
@@ -54,10 +54,21 @@ def _own_lines(summary: dict) -> Iterator[str]:
             f"  {shown(facts['device'])}: {facts['stream']} stream, {step}, baseline {1e3 * facts['baseline']:g} mm, "
             f"noise {facts['noise_px']:.2f} px{recorded}"
         )
+    for scene_id, origin in summary.get(OWN, {}).get(JOINED, {}).items():
+        people = ", ".join(map(shown, origin["confirmed_by"]))
+        yield f"  {scene_id}  {shown(origin['licence'])}, confirmed by {people}"
     yield from (
         f"  {i}  {shown(source)}" for i, source in zip(scenes, summary.get(OWN, {}).get("sources", ()), strict=False)
     )
     yield from (f"  images of one scene: {shown(', '.join(group))}" for group in groups_of_places(summary))
+
+
+def _sensors(summary: dict) -> list[dict]:
+    """The facts about all sensors of own scenes, each once."""
+    from kit1000.perception.sensor_facts import KEY, SCENE_KEY
+
+    stated = [summary.get(KEY, {}), *summary.get(SCENE_KEY, {}).values()]
+    return list({str(facts): facts for rows in stated for facts in rows.values()}.values())
 
 
 def _files_taken(summary: dict) -> list[str]:

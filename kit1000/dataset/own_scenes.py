@@ -11,6 +11,8 @@ from kit1000.errors import InputError, checked
 
 OWN = "own"
 """Key of dataset.json: what the scenes were imported from; generated datasets have none."""
+JOINED = "joined"
+"""Key of the entry OWN: for each scene of joined folders, its former ids, its licence, and who confirmed its labels."""
 LABELS = "labels"
 """Folder of the labels of own scenes and their pictures, which a person goes on changing."""
 TABLES = "tables"

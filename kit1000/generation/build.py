@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import shutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from functools import partial
@@ -48,8 +48,15 @@ from kit1000.queries.tracks import SPLITS
 from kit1000.sim.world import check_physics
 
 FILES, PARTS, ASSEMBLIES, SCENES = "mesh files", "parts and kits", "assemblies", "scenes"
+SECONDS = {FILES: 1.1, PARTS: 0.6, ASSEMBLIES: 0.33, SCENES: 0.25}
+"""CPU time of one file, part, assembly or scene, roughly [s]: the weights of the progress bar."""
+SCENE_COST = {"test": 2.0}
+"""Cost of a scene of a split with more images, in the cost of a scene of the other splits."""
+BAR = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}"
+SMOOTHING = 0.01  # of the speed from which the bar expects the end: the mean over about a hundred jobs
+
 Run = Callable[..., dict[str, Record]]
-"""Runs the jobs of a stage: `_run_jobs` with its engine."""
+"""Runs the jobs of a stage: `_run_jobs` with its bar and its engine."""
 
 
 def generate(
@@ -86,8 +93,10 @@ def generate(
         check_physics()  # now, not after all parts are made
         write_json(root / "plan.json", head)
         refused, untried = {}, None
-        with engine or local_engine(workers) as parallel_map:
-            run = partial(_run_jobs, parallel_map)
+        expected = _expected_seconds(preset, None if sources is None else len(sources.files))
+        bar_of = partial(tqdm, total=expected, bar_format=BAR, disable=None, smoothing=SMOOTHING)
+        with engine or local_engine(workers) as parallel_map, bar_of() as bar:
+            run = partial(_run_jobs, bar, parallel_map)
             if sources is None:
                 plan = make_plan(preset, head["seed"])
                 parts = _make_parts_and_kits(root, preset, plan, run)
@@ -189,23 +198,44 @@ def _make_assemblies(root: Path, preset: Preset, plan: dict[str, Any], run: Run)
 def _make_shards(
     root: Path, preset: Preset, plan: dict[str, Any], assemblies: dict[str, Record], run: Run
 ) -> dict[str, Record]:
-    """The record of every shard of scenes, by id; those of the test split, the dearest, are made first."""
+    """The record of every shard of scenes, by id; the dearest are made first, so that no core idles at the end."""
     jobs = [
         job
-        for split in sorted(SPLITS, key=lambda split: split != "test")
+        for split in SPLITS
         for job in shard_jobs(root, preset, plan["seed"], split, split_ids(plan["assemblies"], split), set(assemblies))
     ]
-    return run(SCENES, make_shard, jobs)
+    costs = {job.id: SCENE_COST.get(job.split, 1.0) * len(job.assemblies) for job in jobs}
+    return run(SCENES, make_shard, sorted(jobs, key=lambda job: -costs[job.id]), costs)
+
+
+def _expected_seconds(preset: Preset, files: int | None) -> float:
+    """CPU time of all jobs, roughly [s]; files: number of mesh files, None for procedural parts."""
+    counts = {split: preset.count(split) for split in SPLITS}
+    total = sum(counts.values())
+    parts = SECONDS[PARTS] * total if files is None else SECONDS[FILES] * min(files, total)
+    scenes = sum(SCENE_COST.get(split, 1.0) * count for split, count in counts.items())
+    return parts + SECONDS[ASSEMBLIES] * total + SECONDS[SCENES] * scenes
 
 
 def _run_jobs(
-    parallel_map: ParallelMap, what: str, function: Callable[[Any], Record], jobs: list[Any]
+    bar: tqdm[Any],
+    parallel_map: ParallelMap,
+    what: str,
+    function: Callable[[Any], Record],
+    jobs: list[Any],
+    costs: Mapping[str, float] | None = None,
 ) -> dict[str, Record]:
-    """Run the jobs of a stage and return their records by id."""
+    """Run the jobs of a stage and return their records by id.
+
+    bar: progress of all stages, in CPU seconds.
+    costs: by id of a job, in the cost of one part, assembly or scene; 1 if None.
+    """
     records: dict[str, Record] = {}
-    for record in tqdm(parallel_map(function, jobs), what, len(jobs), unit="", disable=None):
+    bar.set_description_str(what)
+    for record in parallel_map(function, jobs):
         _check_files_present(jobs[0].root, record)
         records[record["id"]] = record
+        bar.update(SECONDS[what] * (1.0 if costs is None else costs[record["id"]]))
     return records
 
 

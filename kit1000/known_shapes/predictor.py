@@ -179,7 +179,7 @@ class KnownShapeRegistration:
         return found
 
     def _register(self, query: Query, shapes: SceneShapes) -> _Registered:
-        sensor = sensor_of(self.dataset.summary, query.sensor)
+        sensor = sensor_of(self.dataset.summary, query.sensor, query.scene_id)
         image, spread = _calibrated(query.image, sensor)
         parts = [KnownShape.of(name, mesh) for name, mesh in shapes.parts.items()]
         scene = register_scene(image, sensor, KnownShape.upright(KITS, shapes.assembly), parts, spread)

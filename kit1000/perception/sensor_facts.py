@@ -15,6 +15,8 @@ from kit1000.sim.sensors import SENSORS, Stream
 D415, SCANNER = SENSORS["d415"], SENSORS["photoneo"]
 KEY = "sensors"
 """Key of dataset.json: facts by the key of the view; absent from generated datasets."""
+SCENE_KEY = "scene_sensors"
+"""Key of dataset.json: the same by scene, if scenes of several cameras are joined."""
 
 
 @dataclass(frozen=True)
@@ -68,17 +70,18 @@ def simulated_sensor(name: str) -> SensorFacts:
     )
 
 
-def sensor_of(summary: Mapping[str, Any], sensor: str) -> SensorFacts:
+def sensor_of(summary: Mapping[str, Any], sensor: str, scene_id: str = "") -> SensorFacts:
     """The facts about the sensor of a view: those that dataset.json states, else those of the simulated sensor.
 
     Args:
         summary: dataset.json.
         sensor: key of the view.
+        scene_id: scene of the view; joined folders state facts by scene.
 
     Raises:
         InputError: dataset.json states facts of another version.
     """
-    rows = summary.get(KEY) or {}
+    rows = (summary.get(SCENE_KEY) or {}).get(scene_id) or summary.get(KEY) or {}
     if sensor not in rows:
         return simulated_sensor(sensor)
     try:

@@ -118,7 +118,7 @@ class Registration:
 
     def _sensor(self, query: Query) -> SensorFacts:
         """The facts about the sensor of a query."""
-        return sensor_of(self.dataset.summary, query.sensor)
+        return sensor_of(self.dataset.summary, query.sensor, query.scene_id)
 
 
 # Each network with the weights of a stem, None without one. Torch is loaded in these functions alone.

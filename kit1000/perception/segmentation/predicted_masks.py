@@ -37,7 +37,7 @@ class OnPredictedMasks:
 
     def __call__(self, query: Query, geometry: TrueGeometry | None, /) -> PredictedMotion:
         """What the method predicts; segmentation is part of the method."""
-        sensor = sensor_of(self.summary, query.sensor)
+        sensor = sensor_of(self.summary, query.sensor, query.scene_id)
         return self.predictor(with_predicted_masks(query, self.scale, sensor), geometry)
 
 
