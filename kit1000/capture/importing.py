@@ -16,7 +16,7 @@ from kit1000.capture.options import ImportOptions
 from kit1000.capture.own_folder import write_own_folder
 from kit1000.capture.own_scene import OwnScene, own_scene
 from kit1000.capture.pose_files import read_pose
-from kit1000.capture.scene_report import report
+from kit1000.capture.scene_report import check_sides, check_size, report
 from kit1000.capture.seen_bodies import MOST_BODIES
 from kit1000.errors import InputError
 from kit1000.files import check_output
@@ -33,6 +33,8 @@ def import_scenes(options: ImportOptions) -> list[str]:
     clearance = None if options.clearance_mm is None else 1e-3 * options.clearance_mm
     scenes = imported_scenes(options)
     lines = [line for scene in scenes for line in report(scene, clearance)]
+    if options.check:
+        lines.append(check_size(scenes, [1e-3 * side for side in options.check]))
     if options.one_scene:
         apart = _check_same_bodies(scenes)
         lines.append(
@@ -112,6 +114,8 @@ def _check(options: ImportOptions) -> None:
             raise InputError(f"--{name.replace('_', '-')}: expected {low:g} to {high:g}, got {value:g}")
     if not 1 <= options.kit <= MOST_BODIES:
         raise InputError(f"--kit {options.kit}: expected the number of a body, from 1 to {MOST_BODIES}")
+    if options.check:
+        check_sides([1e-3 * side for side in options.check])
     for path in options.world_from_camera:
         read_pose(path)
 

@@ -42,6 +42,8 @@ class ImportOptions:
     """Gap between a part and the walls of its cavity; None: not known."""
     networks: bool = False
     """Whether the networks of segmentation cut the masks back."""
+    check: tuple[float, ...] = ()
+    """Sides [mm] of a box in view; empty: sizes are not checked."""
     licence: str = LICENCE
     """Licence of the images, for the recordings."""
     one_scene: bool = False

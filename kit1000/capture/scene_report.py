@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from kit1000.capture.known_sensors import measures_time_of_flight
 from kit1000.capture.own_scene import UNKNOWN_DEVICE, OwnScene
 from kit1000.capture.seen_bodies import SeenBody
+from kit1000.errors import InputError
 
 MUCH_RIPPLE = 2e-3  # [m] from which on fits are unsure
 MOST_LISTED = 12  # bodies
 UNUSUAL_OFF_CENTRE = 0.15  # of the image's sides, from its middle to the principal point
+SAME_SIZE = 0.15  # by which a side of --check may differ, and
+SAME_LENGTH = 6e-3  # [m] by which at least
+SHORTEST, LONGEST = 1e-3, 2.0  # [m] of its sides
 
 
 def report(scene: OwnScene, clearance: float | None) -> Iterator[str]:
@@ -45,6 +49,52 @@ def _middle(scene: OwnScene, body: SeenBody) -> str:
     """Where the recorded image shows a body, from its left and its top."""
     across, down = (np.median(places) / scene.table.image.enlarged for places in np.nonzero(body.mask)[::-1])
     return f"at {across:.0f}, {down:.0f} px"
+
+
+def check_sides(sides: Sequence[float]) -> None:
+    """Raise InputError for sides [m] that no box on a table has."""
+    if len(sides) != 3 or not all(SHORTEST <= side <= LONGEST for side in sides):
+        given = " ".join(f"{1e3 * side:g}" for side in sides)
+        raise InputError(f"--check {given}: expected the three sides of a box in view, in mm, each from 1 to 2000")
+
+
+def check_size(scenes: Sequence[OwnScene], sides: Sequence[float]) -> str:
+    """The body that a box of known sides (3,) [m] is, as a line.
+
+    Raises InputError if no body has these sides: then intrinsics or units are wrong.
+    """
+    check_sides(sides)
+    wanted = " x ".join(f"{1e3 * side:.0f}" for side in sides)
+    best, closest = float("inf"), None
+    for scene in scenes:
+        for body in scene.bodies:
+            off = _difference(body, sides)
+            if off < best:
+                best, closest = off, body
+    assert closest is not None, "a scene has bodies"
+    if best <= 1:
+        return f"  check: a box of {wanted} mm is in view, measured {_measured(closest)}"
+    ratio = (closest.sides[0] * closest.sides[1] * closest.height / (sides[0] * sides[1] * sides[2])) ** (1 / 3)
+    raise InputError(
+        f"--check {wanted}: no body in view has these sides; the nearest measures {_measured(closest)}, by {ratio:.2f} "
+        "in length: are intrinsics and unit those of this stream?"
+    )
+
+
+def _difference(body: SeenBody, sides: Sequence[float]) -> float:
+    """The largest difference between the sides of a body and those of a box standing on any face, 1: just allowed."""
+    found = (*body.sides, body.height)
+    stands = []
+    for up in range(3):
+        flat = sorted(side for i, side in enumerate(sides) if i != up)
+        pairs = zip(found, (*flat, sides[up]), strict=True)
+        stands.append(max(abs(seen - true) / max(SAME_SIZE * true, SAME_LENGTH) for seen, true in pairs))
+    return min(stands)
+
+
+def _measured(body: SeenBody) -> str:
+    short, long = (1e3 * side for side in body.sides)
+    return f"{short:.0f} x {long:.0f} x {1e3 * body.height:.0f} mm"
 
 
 def _notes(scene: OwnScene, clearance: float | None) -> Iterator[str]:

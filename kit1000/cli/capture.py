@@ -58,6 +58,8 @@ class OwnImages:
     masks: Annotated[Masks | None, optional(Masks)] = None
     """How bodies are found: by depth alone, or corrected by networks (for a scanner by rules). Default: networks if
     torch is installed."""
+    check: Annotated[tuple[float, ...], arg(metavar="MM MM MM")] = ()
+    """Side lengths of a box that you placed in view; an image without a body of this size is refused."""
 
     def own_options(self) -> list[str]:
         """The options of own images that the user gave."""

@@ -14,7 +14,7 @@ from kit1000.capture.depth_frames import DepthFrame
 from kit1000.capture.intrinsics import Intrinsics
 from kit1000.capture.options import ImportOptions
 from kit1000.capture.own_scene import OwnScene, own_scene
-from kit1000.capture.scene_report import report
+from kit1000.capture.scene_report import check_size, report
 from kit1000.errors import InputError
 from kit1000.pose import Pose
 from kit1000.sim.sensors import SENSORS, on_depth_grid
@@ -209,6 +209,15 @@ def test_a_wrong_unit_is_refused_with_one_that_fits(name: str) -> None:
     values, fact = WRONG_UNITS[name]
     with pytest.raises(InputError, match=fact):
         scene_of(values, known=UNNAMED)
+
+
+def test_wrong_intrinsics_show_in_the_sizes_and_fail_the_check(scene: OwnScene) -> None:
+    assert "check" in check_size([scene], (0.04, 0.12, 0.1))
+    wrong = Intrinsics(0.53 * CAMERA.fx, 0.53 * CAMERA.fy, CAMERA.cx, CAMERA.cy)
+    other = scene_of(millimetres(exact_depth()), known=wrong)
+    assert other.kit.sides[1] / scene.kit.sides[1] == pytest.approx(1 / 0.53, rel=0.2)
+    with pytest.raises(InputError, match=r"--check 40 x 120 x 100: no body.*intrinsics"):
+        check_size([other], (0.04, 0.12, 0.1))
 
 
 def test_the_report_names_sizes_and_what_makes_fits_unsure(scene: OwnScene) -> None:
