@@ -29,6 +29,7 @@ CELL = 4e-3  # [m]
 FLAT, HIGH, TALLEST = 2.5e-3, 6e-3, 0.25  # [m] heights of the table, of bodies at least and at most
 AROUND, STRAY = 0.06, 0.2  # [m] about all that is high, but for [%] of it on every side
 MOST_CELLS = 300  # along a side of the table
+LEAST_TOTAL = 1e-9  # [m^2] of a view: a shape may miss the middles of all cells
 RIM, BESIDE = 0.4, 0.7  # weights of a cell that an extended edge may cover, and of cells beside the shape
 BESIDE_CELLS = 2
 ABOVE = 4e-3  # [m] over the top of a shape, from which on measured heights are cut off
@@ -139,7 +140,7 @@ class HeightGrid:
         found = 2 * seen * np.conj(_transform(weight * wide, size)) - squares * np.conj(_transform(weight, size))
         found = np.roll(np.asarray(fft.irfft2(found, size)), np.array(heights.shape[1:]) // 2, (1, 2))
         total = (weight * wide * wide).sum((1, 2))
-        return found[:, : self.seen.shape[0], : self.seen.shape[1]] / total[:, None, None]
+        return found[:, : self.seen.shape[0], : self.seen.shape[1]] / np.maximum(total, LEAST_TOTAL)[:, None, None]
 
     def places(self, shape: KnownShape, views: Sequence[Views], most: int, a_spot: int, a_view: int) -> list[Place]:
         """The best places of a shape, the best first, with a limit for all, for each spot and for each view."""

@@ -1,10 +1,12 @@
-"""The leaderboard pages in a real browser: sorting, filters, tabs, narrow and wide windows."""
+"""The leaderboard pages in a real browser: sorting, filters, tabs, narrow and wide windows, light and dark."""
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from playwright.sync_api import Browser, Page, sync_playwright
@@ -15,6 +17,7 @@ from tests.samples.board import SNAPS, write_board
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
 WIDTHS = (390, 1280)
+READABLE = 4.5  # contrast of text, by WCAG AA
 
 
 @pytest.fixture(scope="module")
@@ -142,3 +145,38 @@ def test_without_scripts_every_table_is_there(browser: Browser, site: Path) -> N
     assert page.locator(".track:visible").count() == len(TRACKS) + 1  # and that of real scenes
     assert not page.locator(".filters").is_visible()
     context.close()
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_text_has_enough_contrast(browser: Browser, site: Path, scheme: Any) -> None:
+    context = browser.new_context(color_scheme=scheme)
+    page = context.new_page()
+    page.goto(f"file://{site}/index.html")
+    for place in (".lede", ".about", ".legend", "tbody a", ".control a", "thead small", "svg text", ".tag"):
+        assert contrast(page, place) >= READABLE, place
+    context.close()
+
+
+def contrast(page: Page, place: str) -> float:
+    """Ratio of luminances of a text and what lies behind it."""
+    colours = (
+        page.locator(place)
+        .locator("visible=true")
+        .first.evaluate(
+            """one => {
+            const style = getComputedStyle(one);
+            let behind = one;
+            const paper = (place) => getComputedStyle(place).backgroundColor;
+            while (paper(behind) === "rgba(0, 0, 0, 0)") behind = behind.parentElement;
+            return [one instanceof SVGElement ? style.fill : style.color, paper(behind)];
+        }"""
+        )
+    )
+    light, dark = sorted(map(luminance, colours), reverse=True)
+    return (light + 0.05) / (dark + 0.05)
+
+
+def luminance(colour: str) -> float:
+    values = [int(number) / 255 for number in re.findall(r"\d+", colour)[:3]]
+    linear = [value / 12.92 if value <= 0.04045 else ((value + 0.055) / 1.055) ** 2.4 for value in values]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]

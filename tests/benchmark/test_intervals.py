@@ -24,6 +24,14 @@ def clustered(rng: np.random.Generator, clusters: int = 60, between: float = 1.0
     return 5 + between * rng.standard_normal(clusters)[label] + 0.5 * rng.standard_normal(len(label)), label
 
 
+@pytest.mark.parametrize(
+    ("k", "n", "lo", "hi"),
+    [(50, 50, 92.9, 100), (45, 50, 78.6, 95.7), (900, 1000, 88.0, 91.7), (0, 20, 0, 16.1)],
+)
+def test_wilson_gives_published_numbers(k: int, n: int, lo: float, hi: float) -> None:
+    assert tuple(round(100 * end, 1) for end in wilson_interval(k / n, n)) == (lo, hi)
+
+
 @given(st.integers(1, 5000), st.floats(0, 1))
 def test_wilson_agrees_with_scipy(n: int, share: float) -> None:
     k = round(share * n)
@@ -137,6 +145,14 @@ def test_two_clusterings_cover_the_true_mean_in_95_of_100_samples(part: float, a
     assert part == 0 or alone / 300 < 0.9
 
 
+def test_the_order_of_the_clusterings_hardly_matters() -> None:
+    values, (first, second) = crossed(np.random.default_rng(11), 1.0, 1.0)
+    one, other = (
+        np.quantile(bootstrap_means(values[:, None], each), ENDS) for each in ([first, second], [second, first])
+    )
+    np.testing.assert_allclose(one, other, atol=0.1 * (one[1] - one[0]))
+
+
 def test_a_clustering_within_the_other_changes_nothing() -> None:
     values, labels = clustered(np.random.default_rng(12))
     within = np.arange(len(labels))
@@ -166,6 +182,16 @@ def test_labels_may_be_text() -> None:
     values, labels = clustered(np.random.default_rng(8))
     text = np.array([f"test-s{label:04d}" for label in labels])
     assert mean_interval(values, text) == mean_interval(values, labels)
+
+
+def test_equal_values_have_an_interval_of_no_width() -> None:
+    assert mean_interval(np.full(9, 2.0), [0, 0, 0, 1, 1, 2, 3, 3, 3]) == (2.0, 2.0)
+
+
+def test_columns_share_their_resamples() -> None:
+    values, labels = clustered(np.random.default_rng(10))
+    means = bootstrap_means(np.stack([values, 2 * values], axis=1), [labels])
+    np.testing.assert_allclose(means[:, 1], 2 * means[:, 0])
 
 
 @pytest.mark.parametrize(

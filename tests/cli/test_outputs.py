@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import subprocess
 import sys
@@ -46,6 +47,15 @@ def test_an_output_that_ends_early_is_no_error(mini: Path, tmp_path: Path) -> No
     assert (done.returncode, done.stderr) == (0, b"")
 
 
+def test_a_closed_error_output_leaves_the_results_alone(
+    mini: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    done = run(f"$KIT1000 info {mini} 2>&-", tmp_path)
+    assert done.returncode == 0
+    assert main(["info", str(mini)]) == 0
+    assert done.stdout.decode() == capsys.readouterr().out
+
+
 @pytest.fixture
 def odd_file(tmp_path: Path) -> Path:
     """A mesh file with a name that is no UTF-8."""
@@ -57,6 +67,17 @@ def test_names_in_odd_encodings_are_printed_escaped(odd_file: Path) -> None:
     done = run(line, odd_file.parent, PYTHONIOENCODING="ascii:strict")
     assert (done.returncode, done.stderr) == (0, b"")
     assert b"Geh\\udce4use.stl" in done.stdout
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "ascii", "latin-1"])
+def test_an_output_of_any_encoding_gets_odd_names_escaped(
+    encoding: str, odd_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written, said = io.BytesIO(), io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(written, encoding, "strict"))
+    monkeypatch.setattr(sys, "stderr", io.TextIOWrapper(said, encoding, "strict"))
+    assert main(["kit", str(odd_file), "--out", str(odd_file.parent / "k"), "--no-preview"]) == 0
+    assert (b"Geh\\udce4use.stl" in written.getvalue(), said.getvalue()) == (True, b"")
 
 
 def test_a_line_feed_in_a_name_keeps_the_message_in_one_line(
@@ -94,11 +115,12 @@ def test_a_picture_or_recording_of_mine_stays(
         assert main(line) == 0
 
 
-def test_an_export_replaces_only_what_is_equal(mini: Path, tmp_path: Path) -> None:
-    export(mini, "stl", tmp_path, ("test-0000",))
-    export(mini, "stl", tmp_path, ("test-0000",))
-    path = tmp_path / "test-0000.stl"
+@pytest.mark.parametrize("format", ["stl"])
+def test_an_export_replaces_only_what_is_equal(format: str, mini: Path, tmp_path: Path) -> None:
+    export(mini, format, tmp_path, ("test-0000",))
+    export(mini, format, tmp_path, ("test-0000",))
+    path = tmp_path / f"test-0000.{format}"
     path.write_bytes(b"mine")
     with pytest.raises(InputError, match=str(path)):
-        export(mini, "stl", tmp_path, ("test-0000",))
+        export(mini, format, tmp_path, ("test-0000",))
     assert path.read_bytes() == b"mine"

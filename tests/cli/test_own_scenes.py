@@ -145,6 +145,16 @@ def test_a_missing_entry_is_one_line_or_no_matter(
         assert all("dataset.json" in line or str(root) in line for line in lines)
 
 
+def test_a_dataset_without_scenes_has_nothing_to_check_or_score(
+    mini: Path, tmp_path: Path, summary: dict[str, Any], answers: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    del summary["shards"]
+    root = linked(mini, tmp_path / "data", lambda _: True, summary)
+    for program, words in ((main, ["check"]), (benchmark, ["score"])):
+        (line,) = lines_of(program([*words, str(answers), "--data", str(root)]), capsys, 2)
+        assert str(root) in line
+
+
 @pytest.mark.parametrize("key", ["config", "counts", "files", "shards"])
 @pytest.mark.parametrize("value", [None, [1], 3, "x"])
 def test_an_entry_of_another_kind_is_one_line(
@@ -153,3 +163,14 @@ def test_an_entry_of_another_kind_is_one_line(
     root = linked(mini, tmp_path / "data", lambda _: False, summary | {key: value})
     (line,) = lines_of(main(["info", str(root)]), capsys, 2)
     assert f"dataset.json: {key}: expected an object" in line
+
+
+@pytest.mark.parametrize("text", ["[]", '{"test-0000": 3}', '{"test-0000": {}}', "{}", "3", ""])
+def test_a_damaged_or_empty_table_is_one_line(
+    mini: Path, tmp_path: Path, summary: dict[str, Any], text: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    root = linked(mini, tmp_path / "data", lambda name: name.name not in TABLES, summary)
+    for name in TABLES:
+        (root / name).write_text(text)
+    (line,) = lines_of(main(["show", str(root), "--out", str(tmp_path / "a.png")]), capsys, 2)
+    assert str(root) in line

@@ -208,6 +208,16 @@ def test_the_truth_must_be_requested(root: Path) -> None:
     assert not opened
 
 
+def test_a_relative_path_stays_that_of_the_folder_where_it_was_opened(
+    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(root.parent)
+    dataset = Dataset(root.name)
+    monkeypatch.chdir(tmp_path)
+    assert dataset.geometry.parts
+    assert list(pickle.loads(pickle.dumps(dataset)).split("test").queries())
+
+
 def test_splits_have_their_scenes_in_order(root: Path) -> None:
     dataset = Dataset(root)
     assert dataset.split("train").scene_ids == ["train-s0000", "train-s0001"]
@@ -233,6 +243,14 @@ def test_splits_have_their_queries(root: Path) -> None:
     assert [query.id for query in asked["test"]] == drawn
     for track in ("snap", "snap-tilt", "place", "snap-d415", "place-d415"):
         assert len([query for query in asked["test"] if query.track == track]) == 3  # one a scene
+
+
+def test_queries_of_a_track_come_in_the_order_of_all(root: Path) -> None:
+    split = Dataset(root).split("test-all")
+    for track in TRACKS:
+        ids = [query.id for query in split.queries(track)]
+        assert ids == [query.id for query in split.queries() if query.track == track]
+        assert ids == [query.id for query in Dataset(root).split("test-all").queries(track)]
 
 
 def test_queries_equal_those_written(root: Path) -> None:
@@ -263,6 +281,11 @@ def test_a_query_reads_the_image_of_its_sensor_and_the_mask_of_its_part(root: Pa
         assert np.array_equal(query.view.depth, views_of("test-s0007")[query.sensor].depth)
         assert np.array_equal(query.part_mask, labels_of() == FIRST_PART_LABEL + query.part)
         assert np.array_equal(query.kit_region, labels_of() == ASSEMBLY_LABEL)
+
+
+def test_the_queries_of_a_scene_share_their_images(root: Path) -> None:
+    first, second = list(Dataset(root).split("test-all").scene("test-s0007").queries)[:2]
+    assert first.view is second.view
 
 
 def test_truths_equal_those_written(root: Path) -> None:

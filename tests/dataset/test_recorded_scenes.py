@@ -12,7 +12,7 @@ from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.errors import InputError
 from kit1000.sim.cameras import CAMERA, camera_set
 from kit1000.sim.sensors import DEPTH_GRID, SENSORS
-from kit1000.values import View
+from kit1000.values import ASSEMBLY_LABEL, View
 from tests.samples.mini import MINI
 
 
@@ -94,6 +94,18 @@ def test_the_top_camera_sees_both_halves_of_the_table(recorded: RecordedScene) -
     assert np.array_equal(grid, np.rint(grid))
 
 
+def test_the_top_camera_agrees_with_the_recorded_image(recorded: RecordedScene) -> None:
+    """Points of the kits from the primary camera are on the surface seen by the top camera, or below it."""
+    seen, above = recorded.view("ideal"), recorded.render("top")["top"]
+    kits = seen.world_from_camera.apply(CAMERA.unproject(seen.depth)[recorded.labels == ASSEMBLY_LABEL])
+    local = above.world_from_camera.inverse().apply(kits)
+    u, v = np.rint(CAMERA.project(local)).astype(int).T
+    found = above.depth[v, u]
+    flat = np.abs(found - local[:, 2]) < 2e-3
+    assert flat.mean() > 0.5  # upward faces; walls fall between the pixels
+    assert np.mean(found > local[:, 2] + 2e-3) < 0.03
+
+
 def test_invalid_camera_sets_and_sensors_are_refused(mini: Path, recorded: RecordedScene) -> None:
     with pytest.raises(InputError, match="camera set 'tpo': expected one of primary, three, top"):
         recorded.render("tpo")
@@ -121,3 +133,11 @@ def test_the_truth_of_other_queries_or_without_truth_is_refused(recorded: Record
         recorded.truth_of("test-s0000-p9-snap")
     with pytest.raises(InputError, match="the truth was not opened"):
         Dataset(mini).split("test").scene("test-s0000").truth_of(recorded.queries[0].id)
+
+
+def test_the_slot_of_a_part_is_that_of_its_kit(mini: Path) -> None:
+    geometry = Dataset(mini).geometry
+    for part_id in geometry.kits:
+        slot, wanted = geometry.slot(part_id), geometry.kit(part_id).slot
+        assert (slot.part_id, slot.clearance, slot.depth) == (wanted.part_id, wanted.clearance, wanted.depth)
+        assert slot.goals.matrix().tobytes() == wanted.goals.matrix().tobytes()

@@ -103,6 +103,17 @@ def test_a_part_without_a_return_has_no_query_of_that_sensor() -> None:
     assert only.keys() == {i for i in whole if not i.endswith(("d415", "photoneo"))}
 
 
+def test_the_noisy_track_asks_about_the_same_parts_with_draws_of_its_own() -> None:
+    rows, truths = scene_arguments().queries_and_truths()
+    for row in rows:
+        if row["track"] in ("snap-d415", "place-d415"):
+            ideal = truths[row["id"].removesuffix("-d415")]
+            assert truths[row["id"]]["part"] == ideal["part"]
+            if row["track"] == "snap-d415":
+                assert truths[row["id"]]["draw"]["offset"] != ideal["draw"]["offset"]
+                assert truths[row["id"]]["draw"]["rotvec"] != ideal["draw"]["rotvec"]
+
+
 def test_alone_one_track_asks_and_its_queries_are_the_same_as_otherwise() -> None:
     found: Counter[str] = Counter()
     for seed in range(120):
@@ -147,6 +158,11 @@ def test_another_part_is_drawn_uniformly_where_the_target_has_no_query() -> None
     assert min(picked.values()) >= 6
 
 
+def test_a_track_without_any_part_draws_none() -> None:
+    rows = scene_arguments(parts=scene_arguments().parts[2:3]).rows()
+    assert {row["track"] for row in rows} == {"snap", "snap-tilt", "snap-d415", "snap-photoneo"}
+
+
 @settings(max_examples=60)
 @given(poses())
 def test_roll_and_pitch_are_those_of_scipy(pose: Pose) -> None:
@@ -188,6 +204,12 @@ def _steepest_free_tilt() -> float:
     """The largest tilt [deg] of a rotation with roll and pitch of 15 degrees."""
     up = Rotation.from_euler("xyz", [15, 15, 0], degrees=True).inv().apply([0, 0, 1])
     return float(np.degrees(np.arctan2(np.linalg.norm(up[:2]), up[2])))
+
+
+def test_an_upright_part_leans_as_its_slot_does() -> None:
+    for index, tilt_deg in enumerate((0.0, 10.0, 33.0, 45.0)):
+        up = part(index, tilt_deg).motion().rotate(np.array([0.0, 0.0, 1.0]))
+        assert np.degrees(np.arctan2(np.linalg.norm(up[:2]), up[2])) == pytest.approx(tilt_deg, abs=1e-6)
 
 
 def test_every_goal_is_drawn_sometimes() -> None:
@@ -285,6 +307,16 @@ def test_ids_of_curves_are_read_back() -> None:
     for query_id in ("test-s0007-p2-snap", "curves-s0007-p2-pos3", "curves-s0007-p2-pos3-pos1"):
         with pytest.raises(InputError, match="expected one of the curves, such as"):
             curve_levels(query_id)
+
+
+def test_ids_are_unique_and_safe_in_a_spreadsheet() -> None:
+    ids = [row["id"] for row in scene_arguments(curves=True).rows()]
+    assert len(set(ids)) == len(ids)
+    for query_id in ids:
+        assert query_id[0].isalpha()
+        assert set(query_id) <= set("abcdefghijklmnopqrstuvwxyz0123456789-")
+        with pytest.raises(ValueError, match="could not convert"):
+            float(query_id)
 
 
 def test_curves_belong_to_the_first_test_scenes() -> None:

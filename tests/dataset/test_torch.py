@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import pickle
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +17,7 @@ from kit1000.dataset.torch import Item, QueryDataset, depth_item, to_tensors
 from kit1000.errors import InputError
 from kit1000.queries.motions import apply_error
 from kit1000.values import Query, Truth
+from tests.samples.checkout import ROOT
 
 
 @pytest.fixture(scope="module")
@@ -108,6 +111,15 @@ def test_draws_depend_on_seed_epoch_and_index_alone(train: Split) -> None:
     assert len(set(every)) == len(every)
 
 
+def test_changing_an_item_changes_no_other(train: Split) -> None:
+    items = QueryDataset(train, "snap")
+    before, first = bytes_of(items[0]), items[0]
+    for value in first.values():
+        if isinstance(value, torch.Tensor):
+            value.zero_()
+    assert bytes_of(items[0]) == before
+
+
 def test_tensors_share_memory_with_arrays_that_may_be_written() -> None:
     array = np.zeros((4, 5), "float16")[1:, ::2]
     assert to_tensors({"any": array})["any"].data_ptr() == array.ctypes.data
@@ -119,3 +131,18 @@ def test_tensors_share_memory_with_arrays_that_may_be_written() -> None:
     assert found["turned"].tolist() == [2, 1, 0]
     with pytest.raises(InputError, match=r"'name'.*<U3"):
         to_tensors({"name": np.array("abc")})
+
+
+def test_an_unknown_track_and_an_index_too_high_are_refused(train: Split) -> None:
+    with pytest.raises(InputError, match="'snapp'"):
+        QueryDataset(train, "snapp")
+    items = QueryDataset(train, "snap", drawing_item)
+    with pytest.raises(IndexError):
+        items[len(items)]
+
+
+def test_without_torch_the_error_says_how_to_install_it() -> None:
+    ask = "import sys; sys.modules['torch'] = None\ntry: import kit1000.dataset.torch"
+    ask += "\nexcept Exception as error: print(repr(error))"
+    answer = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert answer.stdout == "InputError(\"kit1000.dataset.torch needs PyTorch: pip install 'kit1000[learn]'\")\n"

@@ -18,7 +18,7 @@ from kit1000.camera import Camera, look_at
 from kit1000.dataset.scene_data import SceneTruth
 from kit1000.errors import InputError
 from kit1000.export import bop
-from kit1000.export.bop import DELTA, gt_info, silhouette, stored_depth, visible_pixels, write_bop
+from kit1000.export.bop import DELTA, distances, gt_info, silhouette, stored_depth, visible_pixels, write_bop
 from kit1000.kits.assembly import AssemblyPlan, SidePlate, build_assembly
 from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.pose import Pose
@@ -199,6 +199,15 @@ def test_poses_through_the_camera_are_those_of_the_world(folder: Path, dataset: 
         np.testing.assert_allclose(np.linalg.inv(image.w2c) @ m2c(gt), expected, atol=1e-9)
 
 
+def test_the_visible_pixels_of_each_object_are_in_its_mask(folder: Path, dataset: FakeDataset) -> None:
+    image, ids = BopImage.read(folder / "test/000001", 0), dataset.scene.frame.body_ids
+    for i, body in enumerate((3, 4, 2)):  # in the picture: 1 the table, 2 the assembly, then the parts
+        seen = ids == body
+        assert not np.any(seen & ~image.visible[i])
+        assert np.sum(image.visible[i] & ~seen) <= 0.02 * seen.sum()  # within DELTA behind something else
+        assert not np.any(image.visible[i] & ~image.masks[i])
+
+
 @pytest.mark.parametrize("i", [0, 1, 2])
 def test_counts_are_those_of_a_canvas_three_times_as_large(folder: Path, dataset: FakeDataset, i: int) -> None:
     image = BopImage.read(folder / "test/000001", 0)
@@ -255,6 +264,15 @@ def test_models_are_the_parts_in_millimetres(folder: Path, dataset: FakeDataset)
             assert (folder / "models_eval" / name).read_bytes() == (folder / "models" / name).read_bytes()
 
 
+def test_other_readers_read_the_models(folder: Path) -> None:
+    for path in (folder / "models").glob("*.ply"):
+        vertices, normals, faces = read_ply(path)
+        seen = trimesh.load_mesh(path, process=False)
+        np.testing.assert_array_equal(seen.faces, faces)
+        np.testing.assert_allclose(seen.vertices, vertices, rtol=1e-6, atol=1e-5)
+        np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-5)
+
+
 def test_camera_targets_and_dataset_info(folder: Path, dataset: FakeDataset) -> None:
     camera, info, few, many = (
         json.loads((folder / f"{name}.json").read_text())
@@ -296,6 +314,12 @@ def test_an_object_out_of_sight_has_no_box() -> None:
         assert info["bbox_obj"] == info["bbox_visib"] == [-1, -1, -1, -1]
 
 
+def test_distance_is_along_the_ray() -> None:
+    depth = np.full((CAMERA.height, CAMERA.width), 2.0)
+    points = CAMERA.unproject(depth)
+    np.testing.assert_allclose(distances(CAMERA, depth), np.linalg.norm(points, axis=-1))
+
+
 @pytest.mark.parametrize(
     ("asked", "said"),
     [
@@ -309,3 +333,18 @@ def test_invalid_exports_are_refused_in_one_line(dataset: FakeDataset, asked: di
     with pytest.raises(InputError, match=f"^{said}"):
         bop.write_bop(dataset, tmp_path / "out", **asked)  # type: ignore[arg-type]
     assert list(tmp_path.iterdir()) == []
+
+
+def test_nothing_is_left_of_an_export_that_fails(
+    dataset: FakeDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(bop, "png_bytes", full)
+    with pytest.raises(InputError, match=r"cannot write .*: No space left on device"):
+        write_bop(dataset, tmp_path / "new")  # type: ignore[arg-type]
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "other").touch()
+    with pytest.raises(InputError, match=f"{tmp_path} exists already"):
+        write_bop(dataset, tmp_path)  # type: ignore[arg-type]

@@ -91,6 +91,19 @@ def test_the_points_of_a_sensor_are_its_unprojected_depth(plain: Path, scene: Re
     assert cloud.frame_id == image.frame_id == recorded[f"/{sensor}/camera"].frame_id
 
 
+def test_all_messages_have_the_time_of_the_scene(mini: Path, tmp_path: Path) -> None:
+    with open(mini / "train/0000.mcap", "rb") as file:
+        starts = [message.log_time for _, channel, message in make_reader(file).iter_messages(["/tf"])]
+    path = write_scene_recording(Dataset(mini), "train-s0001", tmp_path / "scene.mcap", truth=True)
+    with open(path, "rb") as file:
+        times = {time for _, _, m in make_reader(file).iter_messages() for time in (m.log_time, m.publish_time)}
+    (time,) = times
+    assert time == starts[1] // 10**9 * 10**9
+    for value in messages(path).values():
+        stamps = [getattr(item, "timestamp", None) for item in (value, *getattr(value, "transforms", ()))]
+        assert {stamp.seconds for stamp in stamps if stamp is not None} <= {time // 10**9}
+
+
 def test_without_truth_only_observations_are_read(public: Path, plain: Path, tmp_path: Path) -> None:
     """The bytes are those from a folder with nothing but the observations and the summary of the public part."""
     bare = tmp_path / "bare"
@@ -162,6 +175,14 @@ def test_answers_are_coloured_by_their_error(
     assert texts == [f"{1e3 * length:.1f} mm, 0.0°"] * len(texts)
 
 
+def test_errors_go_from_green_over_yellow_to_red() -> None:
+    green, yellow, red, worse = error_colours(np.array([0, 3e-3, 10e-3, 1.0])).astype(int)
+    assert green[1] > green[0]
+    assert yellow[2] < yellow[:2].min()
+    assert red[0] > 2 * red[1]
+    assert np.array_equal(red, worse)
+
+
 def test_points_are_on_the_surface_and_evenly_spread() -> None:
     mesh = mesh_from_solid(box_solid(10, 20, 40)).scaled(1e-3)
     points = even_points(mesh.triangles, 9000)[0]
@@ -201,6 +222,14 @@ def test_a_withheld_truth_is_said_to_be_withheld(public: Path, tmp_path: Path) -
     with pytest.raises(InputError, match="withheld from this folder"):
         write_scene_recording(Dataset(public), SCENE, tmp_path / "scene.mcap", truth=True)
     assert not (tmp_path / "scene.mcap").exists()
+
+
+def test_the_command_prints_the_file_that_it_wrote(
+    mini: Path, plain: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["export", str(mini), "--format", "mcap", "--ids", SCENE, "--out", str(tmp_path)]) == 0
+    assert capsys.readouterr().out == f"{tmp_path}\n"
+    assert (tmp_path / f"{SCENE}.mcap").read_bytes() == plain.read_bytes()
 
 
 def test_the_track_is_by_default_the_first_that_asks_in_the_scene(withheld: Published, tmp_path: Path) -> None:

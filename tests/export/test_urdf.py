@@ -8,19 +8,23 @@ from pathlib import Path
 import numpy as np
 import pybullet as bullet
 import pytest
+from hypothesis import given
 from manifold3d import Manifold
 
-from kit1000.export.urdf import write_urdf
+from kit1000.errors import InputError
+from kit1000.export.urdf import roll_pitch_yaw, write_urdf
 from kit1000.kits.assembly import AssemblyPlan, SidePlate, build_assembly
 from kit1000.kits.kit import make_kit
-from kit1000.mesh import Mesh, inertia, solid_from_mesh
+from kit1000.mesh import Mesh, inertia, mesh_from_solid, solid_from_mesh
 from kit1000.parts.family import DENSITY
 from kit1000.pose import Pose, quaternion_angle
 from kit1000.symmetry import Symmetry
 from kit1000.values import Assembly
 from tests.samples.kits import sample_kit, sample_part
 from tests.samples.shapes import as_part
+from tests.samples.strategies import poses
 
+LONGEST_LINE = 256  # [characters]
 CLEARANCE = 2.5e-3  # [m]
 MARGIN = 1e-3  # [m] that Bullet grows every convex piece of a URDF by, whatever its size
 FILM = 60e-9  # [m] rounding of a mesh's vertices moves its surface by no more
@@ -60,6 +64,14 @@ def pieces(urdf: Path) -> list[Mesh]:
         for collision in elements(urdf, "link/collision")
         for mesh in collision.findall("geometry/mesh")
     ]
+
+
+def test_one_link_one_element_a_line(urdf: Path, assembly: Assembly) -> None:
+    lines = urdf.read_text().splitlines()
+    assert max(map(len, lines)) < LONGEST_LINE
+    assert all(line.count("<") == 1 for line in lines)
+    assert len(elements(urdf, "link")) == 1
+    assert ElementTree.parse(urdf).getroot().attrib["name"] == assembly.id
 
 
 def test_numbers_round_trip(urdf: Path, assembly: Assembly) -> None:
@@ -105,6 +117,42 @@ def test_mass_and_inertia_are_those_of_the_solid(urdf: Path, assembly: Assembly)
     np.testing.assert_allclose(tensor, inertia(assembly.mesh, mass), rtol=1e-12)
 
 
+@given(poses())
+def test_inertia_of_a_box_in_any_place(pose: Pose) -> None:
+    sides = np.array([0.1, 0.2, 0.3])
+    box = mesh_from_solid(Manifold.cube(sides, center=True)).moved(pose)
+    squares = sides**2
+    closed_form = np.diag(squares.sum() - squares) * 6.0 / 12
+    turn = pose.rotation_matrix()
+    np.testing.assert_allclose(inertia(box, 6.0), turn @ closed_form @ turn.T, atol=1e-6)
+
+
+@given(poses())
+def test_roll_pitch_yaw_give_the_same_rotation(pose: Pose) -> None:
+    roll, pitch, yaw = roll_pitch_yaw(pose)
+    x, y, z = (Pose.from_rotvec(a * axis) for a, axis in zip((roll, pitch, yaw), np.eye(3), strict=True))
+    assert quaternion_angle((z @ y @ x).wxyz, pose.wxyz) < 1e-7
+
+
+def test_an_existing_folder_is_not_changed(assembly: Assembly, tmp_path: Path) -> None:
+    (tmp_path / "other").touch()
+    with pytest.raises(InputError, match="exists already"):
+        write_urdf(assembly, tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["other"]
+
+
+def test_nothing_is_left_of_an_export_that_fails(
+    assembly: Assembly, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("kit1000.export.urdf.support_meshes", full)
+    with pytest.raises(InputError, match=r"cannot write .*: No space left on device"):
+        write_urdf(assembly, tmp_path / "new")
+    assert list(tmp_path.iterdir()) == []
+
+
 def dropped(urdf: Path, start: Pose, halves: np.ndarray, scale: float = 1.0) -> np.ndarray:
     """The rest position (3,) [m] in Bullet of a box with some half extents, released 35 mm above a pose."""
     client = bullet.connect(bullet.DIRECT)
@@ -148,3 +196,10 @@ def test_a_peg_wider_than_the_cavity_stays_on_the_rim(block: tuple[Path, Pose, n
     urdf, seated, halves, depth = block
     rest = dropped(urdf, seated, halves + [CLEARANCE + 1e-3, CLEARANCE + 1e-3, 0])
     assert rest[2] - seated.xyz[2] == pytest.approx(depth + MARGIN, abs=2e-4)
+
+
+def test_the_margin_is_bullets_own_and_shrinks_with_the_scale(block: tuple[Path, Pose, np.ndarray, float]) -> None:
+    urdf, seated, halves, depth = block
+    tight = halves + [CLEARANCE - 1e-3, CLEARANCE - 1e-3, 0]  # a gap no wider than the margin
+    assert dropped(urdf, seated, tight)[2] - seated.xyz[2] > depth / 3  # it jams
+    assert dropped(urdf, seated, tight, scale=10)[2] - seated.xyz[2] == pytest.approx(MARGIN / 10, abs=1e-4)

@@ -7,8 +7,13 @@ from __future__ import annotations
 
 import json
 import os
+import random
 import resource
 import shutil
+import signal
+import subprocess
+import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -22,6 +27,7 @@ from kit1000.generation import assemblies, build, parts_and_kits, scene_files
 from kit1000.generation.build import generate
 from kit1000.generation.plan import Sources
 from kit1000.mesh import defect_float32
+from tests.samples.checkout import ROOT
 from tests.samples.mini import MINI, fake_scene, file_hashes, l_shape_sources
 
 pytestmark = pytest.mark.usefixtures("fake_scenes")
@@ -115,6 +121,84 @@ def test_a_run_stopped_at_any_write_ends_with_the_same_bytes(
     assert file_hashes(tmp_path) == file_hashes(complete)
 
 
+RUN = """
+import os, signal, sys
+from pathlib import Path
+from tests.samples.mini import MINI, fake_scene, l_shape_sources
+from kit1000 import files
+from kit1000.generation import scene_files
+from kit1000.generation.build import generate
+
+if sys.argv[5] == "fake":  # also in the workers, which run these lines
+    scene_files.make_scene = fake_scene
+
+def main(root, folder, workers, allowed):
+    replace, count = os.replace, 0
+    def failing_replace(source, target):
+        nonlocal count
+        count += 1
+        if count > allowed:
+            os.kill(os.getpid(), signal.SIGKILL)
+        replace(source, target)
+    files.os.replace = failing_replace
+    generate(MINI, Path(root), workers=workers, sources=l_shape_sources(Path(folder)))
+
+if __name__ == "__main__":
+    main(sys.argv[1], sys.argv[2], int(sys.argv[3]), int(sys.argv[4]))
+"""
+
+
+def start_run(folder: Path, root: Path, workers: int, allowed: int, scenes: str = "fake") -> subprocess.Popen[str]:
+    """A run in its own process group, killed between its last allowed write and the rename of the next file."""
+    script = folder / "run.py"
+    script.write_text(RUN)
+    paths = str(ROOT)
+    return subprocess.Popen(
+        [sys.executable, script, root, folder / "files", str(workers), str(allowed), scenes],
+        env=os.environ | {"PYTHONPATH": paths},
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def test_a_run_killed_between_write_and_rename_ends_with_the_same_bytes(
+    complete: Path, sources: Sources, tmp_path: Path
+) -> None:
+    root = tmp_path / "out"
+    run = start_run(tmp_path, root, 1, 16)
+    run.communicate(timeout=120)
+    assert run.returncode == -signal.SIGKILL
+    assert list(root.rglob(f".*{files.PARTIAL}"))
+    generate(MINI, root, workers=1, sources=sources)
+    assert file_hashes(root) == file_hashes(complete)
+
+
+@pytest.fixture(scope="module")
+def complete_real(sources: Sources, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset of mesh files with real scenes."""
+    root = tmp_path_factory.mktemp("real")
+    generate(MINI, root, workers=1, sources=sources)
+    return root
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_group_killed_while_it_makes_scenes_ends_with_the_same_bytes(
+    workers: int, complete_real: Path, tmp_path: Path
+) -> None:
+    root, rng = tmp_path / "out", random.Random(workers)
+    for _ in range(4):
+        run = start_run(tmp_path, root, workers, 1000, scenes="real")
+        while len(list(root.glob(f"{parts_and_kits.BUILD_FOLDER}/assemblies/*.json"))) < 4 and run.poll() is None:
+            time.sleep(0.01)
+        time.sleep(rng.uniform(0, 3))
+        os.killpg(run.pid, signal.SIGKILL)
+        run.communicate()
+    assert start_run(tmp_path, root, workers, 1000, scenes="real").wait(timeout=120) == 0
+    assert file_hashes(root) == file_hashes(complete_real)
+
+
 def test_a_full_disk_is_one_line_and_the_next_run_continues(complete: Path, sources: Sources, tmp_path: Path) -> None:
     unlimited = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (6000, unlimited[1]))
@@ -198,6 +282,14 @@ def test_another_plan_is_refused_and_the_dataset_not_changed(
     assert file_hashes(complete) == before
 
 
+def test_a_file_in_place_of_the_folder_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "out").write_text("")
+    for out in (tmp_path / "out", tmp_path / "out/deeper"):
+        with pytest.raises(InputError, match=r"cannot write to .*: Not a directory"):
+            generate(MINI, out, workers=1)
+    assert os.listdir(tmp_path) == ["out"]
+
+
 def test_a_second_run_in_one_folder_is_refused(sources: Sources, tmp_path: Path) -> None:
     with locked(tmp_path), pytest.raises(InputError, match="is being written by another process"):
         generate(MINI, tmp_path, workers=1, sources=sources)
@@ -208,6 +300,13 @@ def test_a_run_killed_before_its_plan_starts_again(complete: Path, sources: Sour
     (tmp_path / ".lock").touch()
     generate(MINI, tmp_path, workers=1, sources=sources)
     assert file_hashes(tmp_path) == file_hashes(complete)
+
+
+def test_one_process_may_build_two_datasets_in_one_place(complete: Path, sources: Sources, tmp_path: Path) -> None:
+    generate(MINI, tmp_path / "a", 1, workers=1, sources=sources)
+    shutil.rmtree(tmp_path / "a")
+    generate(MINI, tmp_path / "a", workers=1, sources=sources)
+    assert file_hashes(tmp_path / "a") == file_hashes(complete)
 
 
 def test_neighbours_that_cannot_be_placed_are_left_out(

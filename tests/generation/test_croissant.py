@@ -9,7 +9,8 @@ from typing import Any
 import mlcroissant
 import pytest
 
-from kit1000.generation.croissant import croissant_bytes
+from kit1000.generation.croissant import PUBLISHED, croissant_bytes
+from kit1000.generation.readme import BIASES, LIMITS, USES, citation
 from tests.samples.cards import summary, tables, withheld
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning:rdflib.*")  # of the validator's own reader
@@ -65,6 +66,11 @@ def test_scenes_load_as_records_that_name_a_listed_file(loaded: mlcroissant.Data
     assert all(row["id"].startswith(row["split"]) for row in rows)
 
 
+def test_splits_are_of_the_kinds_that_croissant_knows(loaded: mlcroissant.Dataset) -> None:
+    kinds = {plain(row["splits/name"]): plain(row["splits/url"]) for row in loaded.records("splits")}
+    assert kinds == {"train": "cr:TrainingSplit", "val": "cr:ValidationSplit", "test": "cr:TestSplit"}
+
+
 @pytest.mark.parametrize("of", DATASETS.values())
 def test_every_file_is_named_with_its_hash_or_by_a_pattern(of) -> None:
     nodes = described(of())["distribution"]
@@ -73,6 +79,20 @@ def test_every_file_is_named_with_its_hash_or_by_a_pattern(of) -> None:
     for name, digest in of()["files"].items():
         assert hashes.get(name) == digest or (name.endswith(".glb") and name.partition("/")[0] + "/*.glb" in patterns)
     assert hashes.keys() <= of()["files"].keys()
+
+
+def test_required_properties_and_texts_of_the_card_are_present() -> None:
+    text = described(summary())
+    required = "@context @type conformsTo name description license url creator datePublished distribution"
+    assert all(text.get(key) for key in required.split())
+    assert text["license"] == "https://creativecommons.org/licenses/by/4.0/"
+    assert text["version"] == summary()["data_version"]
+    assert text["datePublished"] == PUBLISHED
+    assert text["citeAs"] == citation(summary())
+    assert text["url"] == "urn:kit1000:0123456789abcdef"
+    assert text["rai:dataLimitations"] == list(LIMITS)
+    assert text["rai:dataBiases"] == list(BIASES)
+    assert text["rai:dataUseCases"] == list(USES)
 
 
 def test_a_withheld_split_is_named() -> None:

@@ -18,13 +18,14 @@ from kit1000.generation.plan import (
     Sources,
     dataset_id,
     draw_assembly_of,
+    draw_part,
     family_weights,
     file_order,
     make_plan,
     plan_head,
     scene_id_of,
 )
-from kit1000.generation.presets import HELD_OUT, LATER_FIELDS, PRESETS, Preset, preset, preset_of
+from kit1000.generation.presets import HELD_OUT, IDEAL_TRACKS, LATER_FIELDS, PRESETS, Preset, preset, preset_of
 from kit1000.kits.cavity import MIN_WALL
 from kit1000.parts.families.block import Block
 from kit1000.parts.family_catalog import FAMILIES
@@ -59,6 +60,12 @@ def test_the_plan_of_tiny_has_not_changed() -> None:
 def test_a_plan_is_a_pure_function_of_preset_and_seed(many: dict[str, Any]) -> None:
     assert json_bytes(many) == json_bytes(make_plan(MANY, 5))
     assert json.loads(json_bytes(many)) == many
+
+
+def test_another_seed_is_another_dataset() -> None:
+    one, other = make_plan(MINI, 1), make_plan(MINI, 2)
+    assert dataset_id(one) != dataset_id(other)
+    assert all(one["parts"][i]["longest"] != other["parts"][i]["longest"] for i in one["parts"])
 
 
 def test_every_setting_of_a_preset_changes_the_id() -> None:
@@ -106,6 +113,12 @@ def test_a_third_of_the_scenes_with_two_parts_or_more_is_crowded() -> None:
     assert not any(single)
 
 
+def test_a_preset_comes_back_from_its_plan() -> None:
+    for known in PRESETS.values():
+        plan = json.loads(json_bytes(make_plan(replace(known, train=1, val=1, test=1), 5)))
+        assert preset_of(plan["preset"], plan["config"]) == replace(known, train=1, val=1, test=1, seed=1000)
+
+
 def test_held_out_families_are_in_the_test_split_only() -> None:
     asked = replace(PRESETS["kit1000"], train=100)
     parts = make_plan(asked, asked.seed)["parts"].values()
@@ -113,6 +126,28 @@ def test_held_out_families_are_in_the_test_split_only() -> None:
     assert {row["family"] for row in parts if row["split"] == "test"} >= set(HELD_OUT)
     assert set(HELD_OUT) < set(MIXTURES[MINI.mixture])
     assert family_weights(MINI, "test") == MIXTURES[MINI.mixture]
+
+
+@pytest.mark.parametrize("split", ["train", "test"])
+def test_redraws_use_the_families_of_their_split(split: str) -> None:
+    families = {draw_part(MINI, 7, f"{split}-0000", split, attempt).family for attempt in range(200)}
+    assert families <= set(family_weights(MINI, split))
+    assert len(families) > 20
+
+
+def test_attempts_are_independent_draws() -> None:
+    draws = [draw_part(MINI, 7, "train-0000", "train", attempt) for attempt in range(30)]
+    assert len({draw.longest for draw in draws}) == 30
+    assert draw_part(MINI, 7, "train-0000", "train", 3) == draws[3]
+
+
+def test_a_new_family_in_the_catalog_changes_no_plan(many: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither the plan nor its id nor a redraw changes: only families of a mixture are drawn."""
+    redraws = [draw_part(MANY, 5, "test-0000", "test", attempt) for attempt in range(1, 20)]
+    monkeypatch.setitem(FAMILIES, "new", Block)
+    assert json_bytes(make_plan(MANY, 5)) == json_bytes(many)
+    assert dataset_id(make_plan(TINY, TINY.seed)) == GOLDEN
+    assert [draw_part(MANY, 5, "test-0000", "test", attempt) for attempt in range(1, 20)] == redraws
 
 
 def test_a_mixture_with_one_more_family_changes_only_the_parts_that_it_wins(
@@ -173,6 +208,15 @@ def test_accepted_files_are_divided_among_the_splits_in_their_order(count: int) 
     assert any(row["split"] == "train" for row in rows)
 
 
+@pytest.mark.parametrize("name", PRESETS)
+def test_a_plan_gives_its_preset_back(name: str) -> None:
+    asked = preset(name)
+    assert asked.name == name
+    found = preset_of(name, json.loads(json.dumps(asked.config)))
+    assert replace(found, seed=asked.seed) == asked
+    assert found.config == asked.config
+
+
 @given(
     st.sets(st.sampled_from(list(TRACKS)), min_size=1),
     st.tuples(st.integers(1, 2), st.integers(2, 5)),
@@ -200,6 +244,14 @@ def test_sensors_follow_the_tracks(tracks: set[str]) -> None:
         scanned = split != "train" and bool(tracks & {"snap-photoneo", "place-photoneo"})
         assert ("photoneo" in sensors) == scanned
         assert len(set(sensors)) == len(sensors)
+
+
+def test_every_preset_has_known_tracks() -> None:
+    for one in PRESETS.values():
+        assert set(one.tracks) <= set(TRACKS)
+        assert "snap-tilt" in one.tracks  # contact sheets draw its guesses
+        assert {TRACKS[track].sensor for track in one.tracks} == set(one.sensors_of("test"))
+    assert not [track for track in IDEAL_TRACKS if TRACKS[track].sensor != "ideal"]
 
 
 def test_every_preset_can_be_built() -> None:

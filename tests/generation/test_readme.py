@@ -9,7 +9,7 @@ from itertools import chain
 import pytest
 
 from kit1000.dataset.scene_data import SceneTruth
-from kit1000.generation.readme import FILES, READING_EXAMPLE, files_by_pattern, readme_bytes
+from kit1000.generation.readme import FILES, READING_EXAMPLE, citation, files_by_pattern, readme_bytes
 from kit1000.values import Query, View
 from tests.samples.cards import summary, withheld
 
@@ -42,6 +42,14 @@ def test_counts_and_redraws_are_in_tables_the_most_frequent_first() -> None:
     assert "gear, tee" in text
 
 
+def test_the_head_is_valid_metadata() -> None:
+    blank, head, _ = card(summary()).split("---\n", 2)
+    fields = dict(line.split(": ") for line in head.splitlines())
+    assert blank == ""
+    assert fields["pretty_name"] == "KIT1000 tiny"
+    assert fields["license"] == "cc-by-4.0"
+
+
 def test_every_file_is_explained() -> None:
     files = summary()["files"]
     explained = files_by_pattern(summary())
@@ -58,6 +66,20 @@ def test_a_withheld_split_is_named_and_nothing_is_revealed() -> None:
     assert "| seed |" not in text
     assert "`plan.json`" not in text
     assert "withheld" not in card(summary())
+
+
+def test_a_dataset_without_statistics_has_a_card() -> None:
+    bare = {key: value for key, value in summary().items() if key not in ("statistics", "config", "refused_scenes")}
+    text = card(bare | {"statistics": {"train": {}, "val": {}, "test": {}}, "redraws": {}})
+    assert "There were none." in text
+    assert "## How to read it" in text
+
+
+def test_the_citation_names_the_dataset() -> None:
+    cited = citation(summary())
+    assert "0123456789abcdef" in cited
+    assert cited in card(summary())
+    assert cited.count("{") == cited.count("}")
 
 
 def test_the_code_example_uses_existing_names() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,9 +18,10 @@ from kit1000.errors import Redraw
 from kit1000.files import read_json
 from kit1000.generation import scene_files as module
 from kit1000.generation.build import generate
+from kit1000.generation.parts_and_kits import BUILD_FOLDER
 from kit1000.generation.plan import scene_id_of
 from kit1000.generation.readme import readme_bytes
-from kit1000.generation.scene_files import TRUTH, make_shard, shard_jobs
+from kit1000.generation.scene_files import EXTRA_VIEWS, OBSERVATIONS, TRUTH, make_shard, shard_jobs
 from kit1000.generation.statistics import add_up, scene_statistics
 from kit1000.generation.verify import verify
 from tests.samples.mini import MINI, fake_scene, file_hashes, l_shape_sources
@@ -104,6 +106,15 @@ def test_redraws_and_statistics_are_those_of_the_scenes(tmp_path: Path) -> None:
         assert figures.items() <= summary["statistics"][split].items()
 
 
+def test_the_files_of_a_shard_have_the_same_scenes(mini: Path) -> None:
+    for shard, scene_ids in read_json(mini / "dataset.json")["shards"].items():
+        path = mini / shard
+        assert list(ObservationFile(path).scene_ids) == list(TruthFile(path.with_suffix(TRUTH)).scene_ids) == scene_ids
+        extra_views = path.with_suffix(EXTRA_VIEWS)
+        assert extra_views.is_file() == shard.startswith("test/")
+        assert not extra_views.is_file() or list(ObservationFile(extra_views).scene_ids) == scene_ids
+
+
 def test_a_finished_shard_is_not_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fake_scenes: None) -> None:
     jobs = []
     original = make_shard
@@ -113,9 +124,20 @@ def test_a_finished_shard_is_not_made_again(tmp_path: Path, monkeypatch: pytest.
     records = [make_shard(job) for job in jobs]
     monkeypatch.setattr(module, "make_scene", refusing_scene("train-0000", "train-0001", "val-0000", "test-0000"))
     assert [make_shard(job) for job in jobs] == records
-    assert [str(job) for job in jobs] == ["shard test/0000", "shard train/0000", "shard val/0000"]
+    assert [str(job) for job in jobs] == ["shard train/0000", "shard test/0000", "shard val/0000"]
     (tmp_path / "data/train/0000.truth.mcap").unlink()
-    again = make_shard(jobs[1])
+    again = make_shard(jobs[0])
     assert again["refused"] == dict.fromkeys(
-        map(scene_id_of, jobs[1].assemblies), "none of 60 layouts passes, mostly: parts touch"
+        map(scene_id_of, jobs[0].assemblies), "none of 60 layouts passes, mostly: parts touch"
     )
+
+
+def test_a_record_lists_its_files_by_hash(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fake_scenes: None) -> None:
+    monkeypatch.setattr("kit1000.generation.build.write_summary", lambda *_: {})
+    generate(MINI, tmp_path / "data", workers=1, sources=l_shape_sources(tmp_path / "files"))
+    found = file_hashes(tmp_path / "data")
+    record = read_json(tmp_path / "data" / BUILD_FOLDER / "shards/test/0000.json")
+    assert record["files"] == {
+        f"test/0000{ending}": found[f"test/0000{ending}"] for ending in (OBSERVATIONS, TRUTH, EXTRA_VIEWS)
+    }
+    assert Counter(record["redraws"]).keys() == {"parts touch"}

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ from kit1000.dataset.scene_records import FIRST_CAVITY_LABEL
 from kit1000.errors import Redraw
 from kit1000.generation import scenes
 from kit1000.generation.plan import draw_assembly_of
-from kit1000.generation.scenes import MAX_LAYOUTS, GeneratedScene, make_scene
+from kit1000.generation.scenes import MAX_LAYOUTS, MAX_VIEWS, GeneratedScene, make_scene
 from kit1000.kits.assembly import build_assembly, check_assembly
 from kit1000.kits.goals import nearest_about_axis
 from kit1000.kits.kit import make_kit
@@ -26,7 +26,9 @@ from kit1000.kits.seating import InsertedPart, contact_offset, seating_result
 from kit1000.parts.family import make_part
 from kit1000.parts.family_catalog import FAMILIES
 from kit1000.pose import Pose, quaternion_angle
+from kit1000.rng import stream
 from kit1000.sim.cameras import CAMERA, in_view
+from kit1000.sim.layout import UPRIGHT
 from kit1000.sim.render import render
 from kit1000.sim.visibility import MAX_SLOT_ANGLE, MIN_CAVITY_SHARE, MIN_PART_PIXELS, MIN_PART_SHARE, slot_visibility
 from kit1000.testing import surface_distances
@@ -103,6 +105,26 @@ def equal(one: GeneratedScene, other: GeneratedScene, sensors: tuple[str, ...] =
     return images and parts_of(one) == parts_of(other) and np.array_equal(one.truth.seg, other.truth.seg)
 
 
+def test_a_scene_made_alone_is_the_one_in_the_shard(mini: Path) -> None:
+    geometry = Geometry(mini)
+    parts = {i: geometry.part(i) for i in geometry.parts}
+    made = make_scene(MINI, MINI.seed, "train", geometry.assembly("train-0001"), parts, False)
+    stored = ObservationFile(mini / "train/0000.mcap").observation("train-s0001")
+    truth = TruthFile(mini / "train/0000.truth.mcap").truth("train-s0001")
+    for key, view in stored.views.items():
+        assert view.depth.tobytes() == made.observation.views[key].depth.tobytes()
+    assert list(stored.queries) == list(made.observation.queries)
+    assert (list(truth.parts), truth.queries, truth.models) == (parts_of(made), made.truth.queries, made.truth.models)
+    assert np.array_equal(cast(np.ndarray, stored.labels), cast(np.ndarray, made.observation.labels))
+    assert np.array_equal(truth.seg, made.truth.seg)
+
+
+def test_another_seed_is_another_scene(sample: SceneSample) -> None:
+    other = make_scene(MINI, SEED + 1, "test", sample.assembly, sample.parts, False)
+    assert not np.allclose(other.truth.world_from_assembly.xyz, sample.scene.truth.world_from_assembly.xyz)
+    assert other.extra_views is None
+
+
 def test_the_tracks_change_neither_the_scene_nor_the_images(sample: SceneSample) -> None:
     fewer = sample.again(tracks=("snap",), curve_scenes=0)
     assert equal(fewer, sample.scene, ("ideal",))
@@ -173,6 +195,17 @@ def test_pixels_of_a_cavity_lie_inside_it_and_on_its_kit(sample: SceneSample) ->
         assert (points[:, 2] > -mount.kit.slot.depth - NEAR).all()
         assert surface_distances(points, mount.kit.mesh).max() < NEAR
     assert (seg >= FIRST_CAVITY_LABEL).any()
+
+
+def test_pixels_inside_the_block_of_a_plate_belong_to_its_cavity(sample: SceneSample) -> None:
+    points, seg = (
+        sample.points(sample.labels == ASSEMBLY_LABEL, 10**9),
+        sample.scene.truth.seg[sample.labels == ASSEMBLY_LABEL],
+    )
+    for k, mount in enumerate(sample.assembly.mounts):
+        inside = (sample.scene.truth.world_from_assembly @ mount.assembly_from_kit).inverse().apply(points)
+        low, high = mount.kit.extent * (-0.5, -0.5, -1) + 1e-3, mount.kit.extent * (0.5, 0.5, 0) - 1e-3
+        assert (seg[((inside > low) & (inside < high)).all(1)] == FIRST_CAVITY_LABEL + k).all()
 
 
 def test_parts_are_in_the_order_of_the_truth(sample: SceneSample) -> None:
@@ -274,6 +307,20 @@ def test_the_target_is_drawn_once_in_every_track(sample: SceneSample) -> None:
     assert {row["part"] for row in rows if row["track"] == "curves"} == {target}
 
 
+def test_some_upright_part_has_a_query_without_a_guess(sample: SceneSample) -> None:
+    places = {row["part"] for row in sample.scene.observation.queries if row["track"] == "place"}
+    assert places
+    assert {sample.scene.truth.parts[i]["rest_mode"] for i in places} == {UPRIGHT}
+
+
+def test_the_tracks_of_the_paper_ask_only_where_parts_are_apart(sample: SceneSample) -> None:
+    apart, crowded = sample.again(crowded=0.0), sample.again(crowded=1.0)
+    asked = [{row["track"] for row in made.observation.queries} for made in (apart, crowded)]
+    assert (apart.truth.crowded, crowded.truth.crowded) == (False, True)
+    assert {"snap-tilt"} <= asked[0] - asked[1] <= {"snap-tilt", "place-paper"}
+    assert "curves" in asked[1]
+
+
 def test_all_bodies_are_in_view(sample: SceneSample) -> None:
     truth = sample.scene.truth
     bodies = [(sample.assembly.mesh, truth.world_from_assembly)]
@@ -304,6 +351,13 @@ def test_rejected_views_are_redrawn_and_counted(sample: SceneSample, monkeypatch
     assert again.truth.world_from_assembly.xyz == pytest.approx(sample.scene.truth.world_from_assembly.xyz)
 
 
+def test_a_layout_without_a_valid_view_is_redrawn(sample: SceneSample, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scenes, "redraw_for", first(MAX_VIEWS, Redraw("part mostly hidden"), scenes.redraw_for))
+    again = sample.again(tracks=("snap",))
+    assert again.redraws[:MAX_VIEWS] == ("part mostly hidden",) * MAX_VIEWS
+    assert again.truth.world_from_assembly.xyz != pytest.approx(sample.scene.truth.world_from_assembly.xyz)
+
+
 def test_a_rejected_layout_is_redrawn(sample: SceneSample, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scenes, "simulate_layout", first(2, Redraw("parts touch"), scenes.simulate_layout))
     assert sample.again(tracks=("snap",)).redraws[:2] == ("parts touch", "parts touch")
@@ -316,3 +370,14 @@ def test_a_scene_without_a_valid_layout_is_refused_with_the_reason(
     with pytest.raises(Redraw) as caught:
         sample.again()
     assert caught.value.reason == f"none of {MAX_LAYOUTS} layouts passes, mostly: parts touch"
+
+
+def test_a_view_has_its_own_random_stream(sample: SceneSample, monkeypatch: pytest.MonkeyPatch) -> None:
+    original = scenes.draw_primary_pose
+    poses = []
+    monkeypatch.setattr(scenes, "draw_primary_pose", lambda rng, *_: poses.append(original(rng)) or poses[-1])
+    made = sample.again(tracks=("snap",), crowded=0.0)
+    k = len(poses) - 1
+    assert k < MAX_VIEWS
+    alone = original(stream(SEED, "view", made.observation.scene_id, 0, k))
+    assert alone.xyz == pytest.approx(made.observation.views["ideal"].world_from_camera.xyz, abs=0)

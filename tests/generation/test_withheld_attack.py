@@ -1,11 +1,15 @@
-"""A public folder with a withheld test split leaves no two queries to combine, and no image beside those shown.
+"""Attacks on withheld goals: what can be learned from several queries, and from everything else in a public folder.
 
-Several guesses about one part share its goal, so whoever combines them comes closer to it than each guess is.
+The attacker knows this code, all public files and the distribution of every draw, and lacks the seed. Each attack is
+run where it must succeed, to show its strength; a dataset with a withheld test split leaves it nothing to work on.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -15,14 +19,58 @@ from kit1000.dataset.reader import Dataset
 from kit1000.generation.presets import PRESETS
 from kit1000.generation.withhold import withheld_preset
 from kit1000.pictures.scene_preview import scene_picture
-from kit1000.queries.tracks import TRACKS
+from kit1000.pose import Pose
+from kit1000.queries.motions import error_of
+from kit1000.queries.tracks import CURVES, TRACKS, curve_levels
+from kit1000.values import Query
 from tests.samples.mini import Published
 
 
-def test_a_withheld_folder_has_no_two_queries_about_a_part(withheld: Published) -> None:
+@dataclass(frozen=True)
+class Clue:
+    """What one query tells about the goal of its part."""
+
+    query: Query
+    goal: Pose | None = None
+    """goal_from_now that the guess misses, where the test knows it."""
+
+    @property
+    def guess(self) -> Pose:
+        assert self.query.guess is not None
+        return self.query.guess
+
+    @property
+    def levels(self) -> tuple[int, int] | None:
+        """Levels of the offset and of the rotation of a query of the curves."""
+        if self.query.track != CURVES:
+            return None
+        varied, level, fixed = curve_levels(self.query.id)
+        return (level, fixed) if varied == "pos" else (fixed, level)
+
+
+def clues_by_part(root: Path, truth: bool, splits: Iterable[str]) -> dict[tuple[str, int], list[Clue]]:
+    """The queries of a folder with a guess, by scene and part; with their goals if `truth`."""
+    found = defaultdict(list)
+    for split in splits:
+        for scene in Dataset(root).split(split, truth=truth):
+            for query in scene.queries:
+                if query.guess is not None:
+                    goal = scene.truths[query.id].goal_drawn if truth else None
+                    found[query.scene_id, query.part].append(Clue(query, goal))
+    return found
+
+
+def groups(clues: Sequence[Clue]) -> list[tuple[Clue, ...]]:
+    """All pairs and triples of queries about a part, of whatever tracks, sensors and levels."""
+    return [group for size in (2, 3) for group in combinations(clues, size)]
+
+
+def test_a_withheld_folder_has_no_two_queries_to_combine(withheld: Published) -> None:
+    clues = clues_by_part(withheld.public, False, ["test-all"])
+    assert clues
+    assert [group for part in clues.values() for group in groups(part)] == []
     queries = list(Dataset(withheld.public).split("test-all").queries())
     parts = [(query.scene_id, query.part) for query in queries]
-    assert parts
     assert len(parts) == len(set(parts))  # also none without a guess beside one with a guess
 
 
@@ -71,3 +119,20 @@ def test_a_withheld_dataset_has_no_curves() -> None:
     for preset in PRESETS.values():
         assert (withheld_preset(preset).curve_scenes, withheld_preset(preset).one_track) == (0, True)
         assert not preset.one_track
+
+
+def test_no_two_guesses_share_an_error_or_its_direction(mini: Path) -> None:
+    tracks = set()
+    for clues in clues_by_part(mini, True, ["train", "val", "test-all"]).values():
+        errors = []
+        for clue in clues:
+            assert clue.goal is not None
+            errors.append(error_of(clue.guess, clue.goal, clue.query.pivot))
+            tracks.add(clue.query.track)
+        for (one, turn), (other, other_turn) in combinations(errors, 2):
+            assert np.linalg.norm(np.cross(one, other)) > 1e-3 * np.linalg.norm(one) * np.linalg.norm(other)
+            assert np.linalg.norm(turn - other_turn) > 1e-4
+            assert np.abs(one - other).min() > 1e-6
+        for group in groups(clues):
+            assert len({tuple(np.round(clue.guess.wxyz, 6)) for clue in group}) == len(group)
+    assert tracks == {"snap", "snap-tilt", "snap-d415", "snap-photoneo"}

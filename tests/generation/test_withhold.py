@@ -10,6 +10,7 @@ import itertools
 import json
 import secrets
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import reduce
 from operator import and_, or_
 from pathlib import Path
@@ -259,6 +260,19 @@ def test_files_of_either_folder_are_no_sources_of_the_next_run(quick_dataset: li
     assert file_hashes(publish_by_command(tmp_path, "--parts", f"{tmp_path}").public) == before
 
 
+def test_two_datasets_have_different_long_seeds(
+    drawn_dataset: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(PRESETS, "hidden", replace(HIDDEN, test=1, kits=(1, 1)))
+    pairs = [publish_by_command(tmp_path / name, *drawn_dataset) for name in "ab"]
+    seeds = [read_json(folders.full / "plan.json")["seed"] for folders in pairs]
+    assert seeds[0] != seeds[1]
+    assert min(seeds) >= 2**127
+    salts = [read_secret(folders)["salt"] for folders in pairs]
+    assert salts[0] != salts[1]
+    assert [len(bytes.fromhex(salt)) for salt in salts] == [32, 32]
+
+
 class Stop(BaseException):
     """An exception that no code handles."""
 
@@ -292,6 +306,13 @@ def test_an_interrupted_run_continues_as_the_same_dataset(
     assert verify(folders.public).faults == verify(folders.full).faults == ()
 
 
+def test_a_long_seed_may_be_given(quick_dataset: list[str], tmp_path: Path) -> None:
+    seed = 2**127 + STEP
+    folders = publish_by_command(tmp_path, *quick_dataset, "--seed", str(seed))
+    assert read_json(folders.full / "plan.json")["seed"] == seed
+    assert not found_in(folders.public, {str(seed).encode()})
+
+
 def test_a_drawn_seed_has_128_bits_of_which_all_but_the_first_are_random(tmp_path: Path) -> None:
     seeds = [withhold.secret_seed(tmp_path, None) for _ in range(64)]
     assert {seed.bit_length() for seed in seeds} == {128}
@@ -299,7 +320,12 @@ def test_a_drawn_seed_has_128_bits_of_which_all_but_the_first_are_random(tmp_pat
     assert reduce(and_, seeds) == 2**127
 
 
-@pytest.mark.parametrize("seed", [0, 7, 2**64, 2**127 - 1])
+@pytest.mark.parametrize("seed", [2**127, 2**128 - 1])
+def test_a_seed_of_128_bits_is_kept(seed: int, tmp_path: Path) -> None:
+    assert withhold.secret_seed(tmp_path, seed) == seed
+
+
+@pytest.mark.parametrize("seed", [0, 7, 2**32, 2**64, 2**127 - 1])
 def test_a_seed_of_fewer_than_128_bits_is_refused(seed: int, tmp_path: Path) -> None:
     expected = (
         rf"^--seed: {seed} can be guessed, .*expected at least 2\*\*127, a number of 128 bits, or leave --seed out"
@@ -307,10 +333,19 @@ def test_a_seed_of_fewer_than_128_bits_is_refused(seed: int, tmp_path: Path) -> 
     with pytest.raises(InputError, match=expected) as refusal:
         withhold.secret_seed(tmp_path, seed)
     assert "\n" not in str(refusal.value)
-    assert withhold.secret_seed(tmp_path, 2**127) == 2**127
+
+
+@pytest.mark.parametrize("seed", [7, 2**64, 2**127 - 1])
+def test_a_folder_made_from_a_guessable_seed_is_refused(seed: int, tmp_path: Path) -> None:
     (tmp_path / "plan.json").write_bytes(json_bytes({"seed": seed}))
     with pytest.raises(InputError, match=f"seed {seed}, which can be guessed"):
         withhold.secret_seed(tmp_path, None)
+
+
+def test_the_commitment_and_the_public_id_are_salted() -> None:
+    files = {"test/0000.truth.mcap": "ab", "plan.json": "cd"}
+    assert withhold.commitment("salt", files) == hashlib.sha256(b"salt" + json_bytes(files)).hexdigest()
+    assert withhold.public_id("salt", "id") == hashlib.sha256(b"saltid").hexdigest()[:16]
 
 
 @pytest.mark.parametrize("public", ["full", "full/public", ".", "link"])

@@ -58,3 +58,10 @@ def test_a_moved_body_must_be_confirmed_anew(correction: Correction) -> None:
     assert [body.confirmed_by for body in saved.bodies] == ["B. Person", "A. Person", "A. Person"]
     assert [body.moved for body in saved.bodies] == [True, False, False]
     assert publish(correction.scenes, [saved]) == []
+
+
+def test_points_lie_on_the_bodies(correction: Correction) -> None:
+    points, colours = correction.points()
+    assert len(points) == len(colours) > 1000
+    assert points[:, 2].min() > -6e-3
+    assert points[:, 2].max() < 0.15

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmark.__main__ import main as benchmark
 from kit1000.cli import main
 from kit1000.dataset.mcap_io import ObservationFile
 from kit1000.dataset.own_scenes import scenes_from_elsewhere, seen_table
@@ -25,6 +26,8 @@ from kit1000.labelling.labelled_folder import write_truth
 from kit1000.metrics import seatings
 from kit1000.perception.sensor_facts import SensorFacts, sensor_of
 from kit1000.pose import Pose
+from kit1000.submission import Manifest, write_submission
+from kit1000.values import Prediction
 from tests.samples.forgotten_truth import write_forgotten
 from tests.samples.labelled_scenes import CLEARANCE, SCENE, sample_scene, shapes_folder, true_record
 
@@ -132,6 +135,11 @@ def test_every_file_is_hashed(real: Path, tmp_path: Path) -> None:
     assert [fault.partition(":")[0] for fault in verify(copy).faults] == ["labels/test-s0001.png"]
 
 
+def test_the_same_folders_give_the_same_bytes(real: Path, folders: tuple[Path, Path], tmp_path: Path) -> None:
+    join_folders(folders, tmp_path / "again")
+    assert (tmp_path / "again/dataset.json").read_bytes() == (real / "dataset.json").read_bytes()
+
+
 def test_a_joined_folder_grows(real: Path, folders: tuple[Path, Path], tmp_path: Path) -> None:
     join_folders(folders[:1], tmp_path / "one")
     join_folders([tmp_path / "one", folders[1]], tmp_path / "both")
@@ -139,6 +147,21 @@ def test_a_joined_folder_grows(real: Path, folders: tuple[Path, Path], tmp_path:
     assert one["own"] == both["own"]
     assert one["files"] == both["files"]
     assert one["places"] == both["places"]
+
+
+def test_the_benchmark_scores_it(real: Path, tmp_path: Path) -> None:
+    dataset = Dataset(real)
+    queries = list(dataset.split("test", truth=True).queries("place-d415"))
+    rows = [Prediction(query.id, dataset.truth_of(query).goal_drawn, 0.5, 1.0) for query in queries]
+    manifest = Manifest(
+        method="true", authors=("us",), description="true motions", date="2026-01-01", dataset_id=dataset.id,
+        dataset_checksum=dataset.summary["checksum"], tracks=("place-d415",), learned=False, uses_true_geometry=False,
+    )  # fmt: skip
+    write_submission(tmp_path / "true", manifest, rows)
+    assert main(["check", str(tmp_path / "true"), "--data", str(real)]) == 0
+    assert benchmark(["score", str(tmp_path / "true"), "--data", str(real)]) == 0
+    scores = read_json(tmp_path / "true/scores.json")
+    assert scores["tracks"]["place-d415"]["n"] == len(queries) == 3
 
 
 def test_info_says_what_came_from_whom(real: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -172,13 +195,20 @@ def edited(root: Path) -> None:
     path.write_bytes(path.read_bytes().replace(b"camera 1", b"camera 7"))
 
 
+def other_version(root: Path) -> None:
+    stated(root, lambda summary: summary.update(data_version="0.9.0"))
+
+
+def other_tracks(root: Path) -> None:
+    stated(root, lambda summary: summary["config"].update(tracks=["snap-d415"]))
+
+
 def generated(root: Path) -> None:
     (root / "plan.json").write_text("{}")
 
 
-def stating(**values: Any) -> Callable[[Path], object]:
-    """Changes what dataset.json states."""
-    return lambda root: stated(root, lambda summary: summary.update(values))
+def twice(root: Path) -> None:
+    stated(root, lambda summary: summary.update(dataset_id=f"{0:016d}"))
 
 
 def other_shape(root: Path) -> None:
@@ -197,15 +227,15 @@ def other_shape(root: Path) -> None:
         (without_labels, f"no labels/{SCENE}.json"),
         (damaged, "kits.json: missing or changed"),
         (edited, "dataset.json: changed"),
-        (stating(data_version="0.9.0"), "data_version 0.9.0, .* has 1.0.0"),
-        (stating(config={"tracks": ["snap-d415"]}), "tracks|config|clearance"),
+        (other_version, "data_version 0.9.0, .* has 1.0.0"),
+        (other_tracks, "tracks"),
         (generated, "a generated dataset"),
-        (stating(dataset_id=f"{0:016d}"), f"its scene {SCENE} is already in"),
+        (twice, f"its scene {SCENE} is already in"),
         (other_shape, r"its kits/tee\.glb differs"),
     ],
 )
 def test_a_folder_that_does_not_belong_is_refused_in_one_line(
-    folders: tuple[Path, Path], tmp_path: Path, spoil: Callable[[Path], object], message: str
+    folders: tuple[Path, Path], tmp_path: Path, spoil: Callable[[Path], None], message: str
 ) -> None:
     other = shutil.copytree(folders[1], tmp_path / "other")
     spoil(other)

@@ -73,3 +73,8 @@ def test_a_damaged_record_says_to_label_again(damage, tmp_path: Path) -> None:
     path.write_text(json.dumps(row))
     with pytest.raises(InputError, match=r"test-s0000.json: .*label the scene again"):
         read_record(tmp_path, SCENE)
+
+
+def test_a_missing_record_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no file"):
+        read_record(tmp_path, SCENE)

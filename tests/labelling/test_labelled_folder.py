@@ -76,6 +76,14 @@ def test_the_true_motion_seats_every_part(folder: Path) -> None:
     assert not seatings(Pose.stack(beside), truths, dataset.geometry).seated.any()
 
 
+def test_writing_twice_gives_the_same_bytes(folder: Path, source: dict[str, str], tmp_path: Path) -> None:
+    twice = own_folder(tmp_path)
+    for _ in range(2):
+        write_truth(twice, {SCENE: true_record(sample_scene(), source, PERSON)})
+    for name in ("test/0000.mcap", "test/0000.truth.mcap", "dataset.json", "kits.json", "parts/tee.glb"):
+        assert (twice / name).read_bytes() == (folder / name).read_bytes(), name
+
+
 def test_labels_are_files_of_a_labelled_folder(source: dict[str, str], tmp_path: Path) -> None:
     root = own_folder(tmp_path)
     write_truth(root, {SCENE: true_record(sample_scene(), source, PERSON)})
@@ -126,6 +134,14 @@ def test_scenes_without_confirmed_labels_are_named(source: dict[str, str], tmp_p
     assert len(list(Dataset(root).split("test", truth=True))) == 2
 
 
+def test_several_scenes_of_the_same_shapes_are_confirmed_at_once(source: dict[str, str], tmp_path: Path) -> None:
+    root = write_forgotten(tmp_path, dict.fromkeys((SCENE, OTHER), sample_scene().image), CLEARANCE)
+    record = true_record(sample_scene(), source, PERSON)
+    assert write_truth(root, {SCENE: record, OTHER: replace(record, scene_id=OTHER)}) == []
+    assert len(list(Dataset(root).split("test", truth=True))) == 2
+    assert verify(root).faults == ()
+
+
 def test_nothing_is_written_of_labels_that_nobody_confirmed(source: dict[str, str], tmp_path: Path) -> None:
     root, record = own_folder(tmp_path), true_record(sample_scene(), source)
     before = {path: path.read_bytes() for path in root.rglob("*") if path.is_file()}
@@ -160,11 +176,3 @@ def test_the_table_stays_at_zero_whatever_the_depth_scale(source: dict[str, str]
     write_truth(root, {SCENE: replace(record, scale=1.003)})
     assembly = next(iter(Dataset(root).split("test", truth=True))).scene.bodies[0]
     assert assembly.world_from_body.xyz[2] == pytest.approx(0, abs=1e-6)
-
-
-def test_writing_twice_gives_the_same_bytes(folder: Path, source: dict[str, str], tmp_path: Path) -> None:
-    twice = own_folder(tmp_path)
-    for _ in range(2):
-        write_truth(twice, {SCENE: true_record(sample_scene(), source, PERSON)})
-    for name in ("test/0000.mcap", "test/0000.truth.mcap", "dataset.json", "kits.json", "parts/tee.glb"):
-        assert (twice / name).read_bytes() == (folder / name).read_bytes(), name

@@ -10,8 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import kit1000.metrics as metrics
 from kit1000.errors import InputError, ShapeError
-from kit1000.metrics import PoseErrors, Targets, nearest_goal_motions, pose_errors
+from kit1000.metrics import METRIC_VERSIONS, PoseErrors, Targets, nearest_goal_motions, pose_errors
 from kit1000.pose import Pose, quaternion_angle, random_quaternions
 from kit1000.queries.motions import goal_motion, goal_pose
 from kit1000.values import FreeAxis, Slot, Truth
@@ -111,6 +112,17 @@ def test_the_search_over_angles_is_never_worse_than_3600_samples() -> None:
     )
     errors = pose_errors(predicted, Targets.of([truth] * n, lambda part_id: hull)).mssd
     assert (errors <= least_of_samples(predicted, truth, hull) + 1e-12).all()
+
+
+def test_the_search_over_angles_finds_the_least_of_several_minima() -> None:
+    """A few corners in any pose take turns in being the farthest: three angles to start from would miss the least."""
+    rng = np.random.default_rng(0)
+    truth, n = truth_of(1, True), 300
+    hull = rng.uniform(-30e-3, 30e-3, (8, 3))
+    predicted = Pose(random_quaternions(rng, n), truth.goal_drawn.apply(truth.anchor) + rng.uniform(-0.1, 0.1, (n, 3)))
+    predicted = predicted @ Pose.from_translation(-truth.anchor)
+    errors = pose_errors(predicted, Targets.of([truth] * n, lambda part_id: hull)).mssd
+    assert (errors <= least_of_samples(predicted, truth, hull) + 1e-5).all()
 
 
 def least_of_samples(predicted: Pose, truth: Truth, hull: np.ndarray) -> np.ndarray:
@@ -222,15 +234,40 @@ def test_a_subset_of_the_targets_has_the_errors_of_the_whole(index: list | slice
         assert np.array_equal(getattr(some, name), getattr(every, name)[chosen]), name
 
 
+def test_a_hull_is_computed_once_a_part() -> None:
+    computed: list[str] = []
+
+    def hull_of(part_id: str) -> np.ndarray:
+        computed.append(part_id)
+        return corners(part_id)
+
+    Targets.of([truth_of(1, False, k, part_id=part) for k, part in enumerate(["x", "y", "x", "x"])], hull_of)
+    assert computed == ["x", "y"]
+
+
 def test_no_queries_have_no_errors() -> None:
     errors = pose_errors(Pose.identity((0,)), Targets.of([], corners))
     assert all(getattr(errors, name).shape == (0,) for name in FIELDS)
+
+
+def test_errors_and_targets_are_read_only() -> None:
+    targets = mixed()
+    errors = pose_errors(targets.goals_drawn, targets)
+    with pytest.raises(ValueError, match="read-only"):
+        errors.mssd[0] = 1
+    with pytest.raises(ValueError, match="read-only"):
+        targets.axis_points[0] = 1
 
 
 @pytest.mark.parametrize("shape", [(), (4,), (5, 1)])
 def test_predictions_of_another_number_are_refused(shape: tuple[int, ...]) -> None:
     with pytest.raises(ShapeError, match=r"predicted: expected a batch of shape \(5,\)"):
         pose_errors(Pose.identity(shape), mixed())
+
+
+def test_arrays_in_place_of_poses_are_refused() -> None:
+    with pytest.raises(ShapeError, match="predicted: expected a Pose of 5, got ndarray"):
+        pose_errors(np.zeros((5, 7)), mixed())  # pyright: ignore[reportArgumentType]
 
 
 WRONG = {
@@ -254,12 +291,7 @@ def test_targets_that_do_not_fit_together_are_refused(name: str) -> None:
         replace(targets, **with_axes, **{name: value})
 
 
-def test_the_search_over_angles_finds_the_least_of_several_minima() -> None:
-    """A few corners in any pose take turns in being the farthest: three angles to start from would miss the least."""
-    rng = np.random.default_rng(0)
-    truth, n = truth_of(1, True), 300
-    hull = rng.uniform(-30e-3, 30e-3, (8, 3))
-    predicted = Pose(random_quaternions(rng, n), truth.goal_drawn.apply(truth.anchor) + rng.uniform(-0.1, 0.1, (n, 3)))
-    predicted = predicted @ Pose.from_translation(-truth.anchor)
-    errors = pose_errors(predicted, Targets.of([truth] * n, lambda part_id: hull)).mssd
-    assert (errors <= least_of_samples(predicted, truth, hull) + 1e-5).all()
+def test_every_metric_has_a_version() -> None:
+    assert all(version >= 1 for version in METRIC_VERSIONS.values())
+    assert {"position", "rotation", "mssd", "seated", "penetration"} <= set(METRIC_VERSIONS)
+    assert all(hasattr(metrics, name) for name in metrics.__all__)

@@ -20,6 +20,7 @@ from kit1000.kits.seating import (
     SEATED_LIMIT,
     STRICT_LIMIT,
     InsertedPart,
+    SeatingResult,
     contact_offset,
     rotated_about_centroid,
     seating_result,
@@ -27,7 +28,7 @@ from kit1000.kits.seating import (
 from kit1000.mesh import Mesh, defect, mesh_from_solid, solid_from_mesh
 from kit1000.metrics import Seatings, seatings
 from kit1000.metrics.exact_seating import ContactInterval, SweptVolume, contact_in_interval
-from kit1000.metrics.seating import is_over_plate
+from kit1000.metrics.seating import SeatingTestResult, as_seatings, is_over_plate
 from kit1000.pose import Pose, random_quaternions
 from kit1000.queries.motions import goal_motion
 from kit1000.values import Assembly, FreeAxis, Kit, Mount, Part, Truth
@@ -214,6 +215,29 @@ def test_the_solids_of_a_swept_volume_cover_it(name: str) -> None:
     assert (union - swept_solid(mesh, axis, HOVER + np.ptp(mesh.vertices @ axis))).volume() < NEGLIGIBLE
 
 
+def test_the_swept_volume_of_a_thread_overlaps_itself_and_still_detects_collisions() -> None:
+    """Two turns of a ramp, one patch: a ball collides from below its lowest face to the end of the path."""
+    angle = np.linspace(0, 4 * np.pi, 97)
+    rim = [np.stack([r * np.cos(angle), r * np.sin(angle), 1e-3 * angle], axis=1) for r in (5e-3, 10e-3)]
+    corners, n = np.concatenate([*rim, *(line + [0, 0, 1e-3] for line in rim)]), len(angle)
+    i = np.arange(n - 1)
+    walls = [(0, 1), (3, 2), (2, 0), (1, 3)]  # below, above, inside, outside: from line to line
+    faces = [np.stack([a * n + i, a * n + i + 1, b * n + i], 1) for a, b in walls]
+    faces += [np.stack([a * n + i + 1, b * n + i + 1, b * n + i], 1) for a, b in walls]
+    last = n - 1
+    ends = np.array([[0, n, 2 * n], [n, 3 * n, 2 * n]])
+    faces += [ends, ends[:, ::-1] + last]
+    mesh = Mesh(corners, np.concatenate(faces).astype(np.int32))
+    assert defect(mesh) is None
+    swept_volume = SweptVolume.of(mesh, UP)
+    ball = Manifold.sphere(1e-3, 24)
+    for height, collision_free in ((-2e-3, True), (3e-3, False), (10e-3, False), (60e-3, False), (-40e-3, True)):
+        for position in (0.0, 2.0, 4.0):
+            at = (7.5e-3 * np.cos(position), 7.5e-3 * np.sin(position), height + 1e-3 * position)
+            assert swept_volume.is_collision_free(ball.translate(at), Pose.identity(), 0.0) == collision_free
+    assert swept_volume.is_collision_free(ball.translate((0, 0, 50e-3)), Pose.identity(), 0.0)
+
+
 @laws
 @given(st.integers(0, 10_000))
 def test_a_swept_volume_is_collision_free_from_contact_on(seed: int) -> None:
@@ -306,6 +330,14 @@ def test_the_bounds_of_the_plate_hold_at_contact(x: float, offset: float, over: 
     assert is_over_plate(np.array([x, 0, 0]), axis, offset, extent) == over
 
 
+@pytest.mark.parametrize(
+    ("seated", "strict", "differs"), [(True, True, False), (True, False, True), (False, False, True)]
+)
+def test_the_tests_disagree_when_either_result_differs(seated: bool, strict: bool, differs: bool) -> None:
+    closed, final = SeatingResult(0.0, 0.0, True, True, True), SeatingResult(0.0, 0.0, True, seated, strict)
+    assert as_seatings([SeatingTestResult(closed, final, True)]).disagrees.tolist() == [differs]
+
+
 def test_nothing_below_is_not_seated() -> None:
     truth = truth_of("tee+foot")
     away = Pose.from_translation(np.array([0, 5.0, 0])) @ truth.slot.goals[0]
@@ -350,6 +382,12 @@ def test_no_queries_have_no_results() -> None:
     assert results.seated.dtype == bool
 
 
+def test_results_are_read_only() -> None:
+    truth = truth_of("round")
+    with pytest.raises(ValueError, match="read-only"):
+        results_of((truth, truth.slot.goals[0])).seated[0] = False
+
+
 def test_wrong_input_is_refused() -> None:
     truth = truth_of("round")
     with pytest.raises(ShapeError, match=r"predicted: expected a batch of shape \(1,\)"):
@@ -360,26 +398,3 @@ def test_wrong_input_is_refused() -> None:
         seatings(Pose.identity((1,)), [truth], sample_geometry(), workers=0)
     with pytest.raises(InputError, match=r"tee\+foot: expected one slot for round, found 0"):
         seatings(Pose.identity((1,)), [replace(truth, assembly_id="tee+foot")], sample_geometry())
-
-
-def test_the_swept_volume_of_a_thread_overlaps_itself_and_still_detects_collisions() -> None:
-    """Two turns of a ramp, one patch: a ball collides from below its lowest face to the end of the path."""
-    angle = np.linspace(0, 4 * np.pi, 97)
-    rim = [np.stack([r * np.cos(angle), r * np.sin(angle), 1e-3 * angle], axis=1) for r in (5e-3, 10e-3)]
-    corners, n = np.concatenate([*rim, *(line + [0, 0, 1e-3] for line in rim)]), len(angle)
-    i = np.arange(n - 1)
-    walls = [(0, 1), (3, 2), (2, 0), (1, 3)]  # below, above, inside, outside: from line to line
-    faces = [np.stack([a * n + i, a * n + i + 1, b * n + i], 1) for a, b in walls]
-    faces += [np.stack([a * n + i + 1, b * n + i + 1, b * n + i], 1) for a, b in walls]
-    last = n - 1
-    ends = np.array([[0, n, 2 * n], [n, 3 * n, 2 * n]])
-    faces += [ends, ends[:, ::-1] + last]
-    mesh = Mesh(corners, np.concatenate(faces).astype(np.int32))
-    assert defect(mesh) is None
-    swept_volume = SweptVolume.of(mesh, UP)
-    ball = Manifold.sphere(1e-3, 24)
-    for height, collision_free in ((-2e-3, True), (3e-3, False), (10e-3, False), (60e-3, False), (-40e-3, True)):
-        for position in (0.0, 2.0, 4.0):
-            at = (7.5e-3 * np.cos(position), 7.5e-3 * np.sin(position), height + 1e-3 * position)
-            assert swept_volume.is_collision_free(ball.translate(at), Pose.identity(), 0.0) == collision_free
-    assert swept_volume.is_collision_free(ball.translate((0, 0, 50e-3)), Pose.identity(), 0.0)

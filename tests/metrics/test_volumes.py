@@ -10,6 +10,7 @@ from hypothesis.extra import numpy as arrays
 
 from kit1000.errors import InputError, ShapeError
 from kit1000.mesh import Mesh, mesh_from_solid
+from kit1000.mesh import surface_points as points_of
 from kit1000.metrics.volumes import known_share, occupancy_iou, surface_chamfer
 from kit1000.pose import Pose
 from kit1000.voxels import Grid, Volume, signed_distance, surface_points
@@ -60,6 +61,10 @@ def values() -> st.SearchStrategy[np.ndarray]:
 def test_shifted_boxes_have_the_iou_of_their_overlap(shift: tuple[float, float, float], expected: float) -> None:
     still, moved = volume(block(30, 20, 20)), volume(block(30, 20, 20, shift))
     assert occupancy_iou(still, moved) == pytest.approx(expected, abs=1e-12)
+
+
+def test_a_ball_in_a_ball_has_the_iou_of_their_volumes() -> None:
+    assert occupancy_iou(ball(0.015), ball(0.03)) == pytest.approx((15 / 30) ** 3, rel=0.02)
 
 
 @given(a=values(), b=values())
@@ -126,6 +131,12 @@ def test_a_volume_has_the_distance_of_its_surface_points() -> None:
     a, b = ball(0.02), volume(block(30, 20, 20))
     assert surface_chamfer(a, b) == surface_chamfer(surface_points(a), surface_points(b))
     assert surface_chamfer(a.moved(Pose.from_translation((0.1, 0, 0))), b) > 0.05  # volumes are posed in the world
+
+
+def test_even_samples_of_two_meshes_have_the_distance_of_their_volumes() -> None:
+    a, b = block(40, 30, 20), block(44, 30, 20)
+    even = [points_of(mesh, 20_000, np.random.default_rng(seed)) for seed, mesh in enumerate((a, b))]
+    assert surface_chamfer(volume(a), volume(b)) == pytest.approx(surface_chamfer(*even), abs=0.3 * MM)
 
 
 @given(pose=poses())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from xml.etree import ElementTree
 
 import pytest
@@ -50,6 +51,11 @@ def test_axes_end_at_the_tick_above_the_largest_value(largest: float) -> None:
     assert f"{step:e}"[0] in "125"
 
 
+@pytest.mark.parametrize("largest", [0.0, -1.0, float("nan"), float("inf")])
+def test_an_axis_without_values_has_ticks(largest: float) -> None:
+    assert tick_step(largest) == 1
+
+
 def test_points_of_a_line_are_at_their_values() -> None:
     points = elements(line_chart("t", "d", [Line("a", [0, 14, 28], [30, 15, 0])], X, Y), "circle")
     u, v = ([float(point.attrib[name]) for point in points] for name in ("cx", "cy"))
@@ -68,6 +74,15 @@ def test_a_band_runs_along_its_high_end_and_back_along_its_low_end() -> None:
     assert [v == TOP for _, v in corners] == [True, True, False, False]
 
 
+def test_several_lines_have_a_legend_that_names_lines_without_points_too() -> None:
+    one, empty = Line("first", [0, 28], [1, 2]), Line("second", [], [])
+    assert "first" not in texts(line_chart("t", "d", [one], X, Y))
+    both = line_chart("t", "d", [one, empty], X, Y)
+    assert {"first", "second"} <= {*texts(both)}
+    assert len(elements(both, "circle")) == 2
+    assert elements(both, "svg")[0].attrib["viewBox"] != f"0 0 {WIDTH} {HEIGHT}"
+
+
 def test_bars_are_as_high_as_their_counts_and_the_open_bin_is_labelled() -> None:
     svg = histogram("t", "d", [0, 1, 5, None], [4, 0, 2], "error [mm]")
     bars = elements(svg, "rect")
@@ -83,6 +98,12 @@ def test_a_mean_beyond_the_scale_becomes_an_arrow() -> None:
     assert len(elements(inside, "circle")) == 1
     assert not elements(beyond, "circle")
     assert interval_mark(Dot("none", None, None, None), 10).count("<path") == 1
+
+
+def test_a_dot_plot_names_every_row() -> None:
+    svg = dot_plot("t", "d", [Dot("upright", 2, 1, 3, "n = 40"), Dot("tumbled", 4, 3, 5)], Axis("MSSD [mm]", 5))
+    assert {"upright", "tumbled", "n = 40", "MSSD [mm]"} <= {*texts(svg)}
+    assert len(elements(svg, "circle")) == 2
 
 
 def charts(text: str) -> list[str]:
@@ -108,6 +129,13 @@ def test_every_chart_has_a_title_for_screen_readers() -> None:
         assert root.attrib["role"] == "img"
         assert root[0].tag == "title"
         assert root[0].text == "Errors"
+
+
+def test_every_class_is_in_the_style() -> None:
+    known = set(re.findall(r"\.([a-z][\w-]*)", STYLE)) | {"mark"}
+    for svg in charts("x"):
+        used = {name for element in ElementTree.fromstring(svg).iter() for name in element.get("class", "").split()}
+        assert used <= known | {"stroke-0", "fill-0"}
 
 
 def test_a_standalone_file_includes_its_style_and_every_chart() -> None:

@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from kit1000.camera import Camera
 from kit1000.dataset.geometry import Geometry
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.errors import InputError
 from kit1000.pictures import dataset_sheets as sheets
 from kit1000.pictures.dataset_sheets import geometry_sheet, scene_sheet
+from kit1000.pictures.depth_images import depth_picture
 from kit1000.values import FIRST_PART_LABEL
 
 WIDTH, HEIGHT = 320, 180  # [px] smaller pictures than usual: rendering takes time
@@ -66,6 +68,40 @@ def test_a_scene_without_ground_truth_has_three_pictures(public: Path, whole_she
     assert rows_of(image) == 1
     for i in range(3):
         assert np.array_equal(tile(image, i), tile(whole_sheet, i))
+
+
+def grey_picture(_: object, camera: Camera, __: object) -> np.ndarray:
+    """Replaces `shaded_picture` where only the number of pictures matters."""
+    return np.full((camera.height, camera.width, 3), 90, np.uint8)
+
+
+def test_training_scenes_of_an_open_folder_have_ground_truth(public: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sheets, "shaded_picture", grey_picture)
+    assert rows_of(pixels(scene_sheet(Dataset(public), "train-s0000"))) == 2
+
+
+def test_without_the_d415_its_picture_is_omitted(
+    mini: Path, whole_sheet: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sheets.RecordedScene, "sensors", ["ideal"])
+    monkeypatch.setattr(sheets, "shaded_picture", grey_picture)
+    image = pixels(scene_sheet(Dataset(mini), "test-s0000"))
+    for i in range(2):  # depth and masks
+        assert np.array_equal(tile(image, i), tile(whole_sheet, i))
+    assert [int(np.median(tile(image, i))) for i in range(2, 6)] == [90, 90, 90, 250]  # the truth, then paper
+
+
+def test_the_pictures_are_cropped_to_the_masks(mini: Path, whole_sheet: np.ndarray) -> None:
+    recorded = Dataset(mini).recorded_scene("test-s0000")
+    rows, columns = sheets.window_of_bodies(recorded.labels)
+    outside = np.ones(recorded.labels.shape, bool)
+    outside[rows, columns] = False
+    assert not recorded.labels[outside].any()
+    tall, wide = rows.stop - rows.start, columns.stop - columns.start
+    assert wide / tall == pytest.approx(WIDTH / HEIGHT, rel=0.01)
+    cropped = Image.fromarray(depth_picture(recorded.view())[rows, columns])
+    cropped = cropped.resize((WIDTH, HEIGHT), Image.Resampling.BICUBIC)
+    assert np.array_equal(tile(whole_sheet, 0), np.asarray(cropped).astype(int))
 
 
 def labels_of(recorded: RecordedScene) -> np.ndarray:

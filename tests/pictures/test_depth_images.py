@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kit1000.camera import Camera
 from kit1000.pictures.depth_images import (
+    FAR_COLOUR,
+    MIDDLE_COLOUR,
+    NEAR_COLOUR,
     depth_picture,
     mask_picture,
     surface_light,
@@ -61,6 +65,38 @@ def test_near_is_brighter_and_warmer_than_far() -> None:
     assert (warmth[:, 2:] < -40).all()
 
 
+def test_the_ends_and_the_middle_of_the_scale_have_their_colours() -> None:
+    hues = hue_of(depth_picture(view_of(steps(0.5, 1.0, 1.5, 0.5))).astype(float))[20, 8::16]
+    for hue, colour in zip(hues, (NEAR_COLOUR, MIDDLE_COLOUR, FAR_COLOUR, NEAR_COLOUR), strict=True):
+        np.testing.assert_allclose(hue, unlit(colour), atol=0.01)
+
+
+@settings(max_examples=20)
+@given(factor=st.floats(0.5, 3.0))
+def test_the_scale_adapts_to_the_scene(factor: float) -> None:
+    """A scene twice as far and twice as large gives the same picture, but for rounding."""
+    v, u = np.indices(SHAPE)
+    depth = 0.7 + 0.004 * u + 0.1 * np.sin(v / 7)
+    one, other = (depth_picture(view_of(depth * scale)).astype(int) for scale in (1.0, factor))
+    assert np.abs(one - other).max() <= 2
+
+
+def test_a_constant_depth_gives_one_colour() -> None:
+    picture = depth_picture(view_of(np.full(SHAPE, 0.8)))
+    assert len(np.unique(picture.reshape(-1, 3), axis=0)) == 1
+    np.testing.assert_allclose(hue_of(picture.astype(float))[0, 0], unlit(NEAR_COLOUR), atol=0.01)
+
+
+def test_a_few_outliers_do_not_change_the_scale() -> None:
+    depth = steps(0.8, 0.9)
+    outliers = depth.copy()
+    outliers[3, 3], outliers[40, 60] = 0.01, 60.0
+    one, other = (depth_picture(view_of(image)).astype(int) for image in (depth, outliers))
+    far = np.ones(SHAPE, bool)
+    far[1:6, 1:6] = far[38:43, 58:63] = False  # shading depends on neighbours
+    assert np.abs(one - other)[far].max() <= 2
+
+
 def normals_of(depth: np.ndarray) -> np.ndarray:
     return surface_normals(CAMERA, depth.astype(np.float32), np.ones(SHAPE, bool)).reshape(*SHAPE, 3)
 
@@ -80,6 +116,16 @@ def test_edges_stay_sharp_and_lone_pixels_have_no_normal() -> None:
     lone[20, 30] = 0.7
     assert np.isnan(normals_of(lone)).all()
     assert (surface_light(CAMERA, lone, lone > 0) == 1).all()
+
+
+def test_surfaces_are_lit_from_the_upper_left() -> None:
+    """The same slope is bright where it faces the light and dark where it faces away."""
+    v, u = np.indices(SHAPE)
+    # Depth grows towards the side that a surface faces: the ground is farther the higher it is in the image.
+    facing = {"left": -u, "right": u, "up": -v, "down": v}
+    views = {side: LabelledDepth(view_of(1 + 0.01 * along), np.ones(SHAPE, np.uint8)) for side, along in facing.items()}
+    lit = {side: int(mask_picture(image)[24, 32].sum()) for side, image in views.items()}
+    assert min(lit["left"], lit["up"]) > 1.2 * max(lit["right"], lit["down"])
 
 
 def test_lines_separate_labels_and_steps_but_cross_no_plane() -> None:
@@ -110,3 +156,9 @@ def test_masks_have_the_colour_of_their_label() -> None:
     first = picture[0, 6 * (FIRST_PART_LABEL + np.arange(8)) + 2]
     assert len(np.unique(first[:7], axis=0)) == 7  # parts of one scene differ
     assert np.array_equal(first[0], first[7])  # the eighth has the first colour
+
+
+@pytest.mark.parametrize("label", [0, 1, 2, 9, 200, 255])
+def test_every_label_has_a_colour(label: int) -> None:
+    picture = mask_picture(LabelledDepth(view_of(np.full(SHAPE, 1.0)), np.full(SHAPE, label, np.uint8)))
+    assert picture.max() > 20

@@ -11,11 +11,15 @@ import pytest
 
 from kit1000.camera import Camera
 from kit1000.dataset.mcap_io import ObservationFile
+from kit1000.dataset.png_files import png_bytes
 from kit1000.dataset.reader import Dataset
 from kit1000.dataset.scene_data import Observation, SceneTruth
+from kit1000.errors import InputError
 from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.pictures.scene_preview import (
     MARK,
+    NOTHING,
+    TABLE,
     scene_picture,
     with_goals,
     with_previews,
@@ -26,6 +30,7 @@ from kit1000.values import View
 from tests.samples.shapes import box, standing
 
 CAMERA = Camera(128, 72, 92.5, 92.5, 63.5, 35.5)
+LARGEST = 60_000  # [bytes]
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +104,29 @@ def test_an_observation_file_has_no_preview_of_the_goals(recorded: list, mini: P
         assert previews.isdisjoint(np.asarray(file.preview(scene_id)).tobytes() for scene_id in file.scene_ids)
 
 
+def test_extra_views_have_no_preview(mini: Path) -> None:
+    file = ObservationFile(mini / "test/0000.three.mcap")
+    assert [file.preview(scene_id) for scene_id in file.scene_ids] == [None] * len(file.scene_ids)
+
+
+def test_a_preview_is_a_small_picture(recorded: list) -> None:
+    for observation, truth, _ in recorded:
+        for picture in (observation.preview, truth.preview):
+            assert len(png_bytes(picture)) <= LARGEST
+            assert picture.shape == (360, 640, 3)
+
+
 # What it shows
+
+
+def test_surfaces_and_holes_have_their_colours() -> None:
+    view = plane(unit(0.0, -0.3, -1.0))
+    depth = np.where(np.arange(CAMERA.height)[:, None] < 20, np.float32(0), view.depth)
+    picture = scene_picture(Observation("s", {"ideal": replace(view, depth=depth)}, np.zeros(depth.shape, np.uint8)))
+    assert (picture[:10] == NOTHING).all()
+    assert len(np.unique(picture[12:].reshape(-1, 3), axis=0)) == 1
+    shares = picture[20, 20] / np.array(TABLE)
+    assert np.ptp(shares) < 0.02
 
 
 def test_exactly_the_parts_of_drawn_queries_are_marked() -> None:
@@ -142,6 +169,11 @@ def test_any_image_has_a_picture(size: tuple[int, int]) -> None:
         view = View(camera, Pose.identity(), depth.astype(np.float32))
         picture = scene_picture(Observation("s", {"d415": view}, labels, rows))
         assert picture.shape == (size[0] // 2, size[1] // 2, 3)
+
+
+def test_masks_are_needed() -> None:
+    with pytest.raises(InputError, match="test-s0000: a preview needs masks"):
+        scene_picture(Observation("test-s0000", {"ideal": plane(unit(0.0, 0.0, -1.0))}))
 
 
 def test_the_pixels_are_the_same_on_every_processor() -> None:

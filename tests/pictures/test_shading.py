@@ -7,7 +7,9 @@ import pytest
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from PIL import Image
 
+from kit1000.errors import InputError
 from kit1000.mesh import Mesh
 from kit1000.pictures import lighting
 from kit1000.pictures.creases import smooth_patches
@@ -71,6 +73,25 @@ def test_the_framing_camera_sees_every_vertex_as_near_as_possible(
     np.testing.assert_allclose(forward, -np.array(direction) / np.linalg.norm(direction), atol=1e-9)
 
 
+def test_the_framing_camera_needs_a_body():
+    with pytest.raises(InputError, match="at least one body"):
+        framing_camera([])
+
+
+def test_without_bodies_there_is_only_the_background():
+    camera, view = framing_camera([(BOX, IDENTITY)], size=SIZE)
+    image = shaded_picture([], camera, view)
+    assert image.shape == (90, 120, 3)
+    assert (image == PAPER).all()
+
+
+def test_background_keeps_its_colour_without_a_ground():
+    image = picture([ColouredBody(BALL, IDENTITY, PART)], background=(10, 90, 200), ground=False)
+    v, u = np.mgrid[:90, :120]
+    far = np.hypot(u - 59.5, v - 44.5) > 30
+    assert (image[far] == (10, 90, 200)).all()
+
+
 @pytest.mark.parametrize("colour", [KIT, PART, *SECONDARY])
 def test_a_level_face_has_the_colour_of_its_body(colour: tuple[int, int, int]):
     image = picture([ColouredBody(BOX, IDENTITY, colour)], ABOVE)
@@ -94,9 +115,41 @@ def test_a_body_casts_a_shadow_on_the_ground_only():
     assert with_ground[free].max() <= np.ceil(np.mean(PAPER))
 
 
+def test_a_cavity_is_darker_than_the_plate_around_it():
+    outer = trimesh.creation.annulus(r_min=0.01, r_max=0.05, height=0.04, sections=48)
+    floor = trimesh.creation.cylinder(radius=0.02, height=0.005, sections=48)
+    floor.apply_translation((0, 0, -0.015))
+    image = brightness(
+        picture([ColouredBody(mesh(outer), IDENTITY, KIT), ColouredBody(mesh(floor), IDENTITY, KIT)], ABOVE)
+    )
+    assert image[45, 60] < image[45, 80] - 30
+
+
+def test_edges_of_a_box_are_drawn_dark():
+    image = brightness(picture([ColouredBody(BOX, IDENTITY, KIT)], (0.0, -1.0, 1.0), ground=False))
+    column = image[:, 60]  # from the background over the top face and the front face
+    front_edge = 30 + column[30:60].argmin()
+    assert column[front_edge] < min(column[front_edge - 5], column[front_edge + 5]) - 15
+    assert column[:30].min() < 160
+
+
+def test_a_view_from_below_draws_no_ground():
+    body = [ColouredBody(BOX, IDENTITY, KIT)]
+    down = (0.3, -0.4, -1.0)
+    np.testing.assert_array_equal(picture(body, down), picture(body, down, ground=False))
+
+
 @pytest.mark.parametrize(("shape", "count"), [(BOX, 6), (BALL, 1), (CYLINDER, 3)])
 def test_the_number_of_smooth_patches(shape: Mesh, count: int):
     assert len(np.unique(smooth_patches(shape)[0])) == count
+
+
+def test_patches_do_not_depend_on_shared_vertices():
+    corners = BALL.triangles.reshape(-1, 3)
+    soup = Mesh(corners, np.arange(len(corners), dtype=np.int32).reshape(-1, 3))
+    patches, normals = smooth_patches(soup)
+    assert len(np.unique(patches)) == 1
+    np.testing.assert_allclose(normals, smooth_patches(BALL)[1], atol=1e-9)
 
 
 def test_shading_normals_are_those_of_the_true_surface():
@@ -128,3 +181,16 @@ def test_a_contact_sheet_has_every_picture_with_a_caption():
     last = sheet[2 * rows + 35 :, :width]
     assert (brightness(last) < 150).sum() > 20  # letters
     assert (sheet[:, -2:] == PAPER).all()  # nothing runs over the border
+
+
+def test_a_contact_sheet_accepts_pillow_images_of_several_sizes():
+    sheet = contact_sheet([Image.new("RGB", (40, 20)), Image.new("RGB", (80, 60))], ["one", "two"], columns=5)
+    assert sheet.width > 160
+    assert sheet.width < 200
+
+
+def test_a_contact_sheet_needs_as_many_labels_as_images():
+    with pytest.raises(InputError, match="1 images but 2 labels"):
+        contact_sheet([np.zeros((2, 2, 3), np.uint8)], ["a", "b"])
+    with pytest.raises(InputError, match="at least one image"):
+        contact_sheet([], [])

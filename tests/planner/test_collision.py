@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import ArrayLike
 
 from kit1000.planner.collision import COLUMN, ROOM, SELF, TABLE, Cell, Held, segment_distance
-from kit1000.planner.robot import CUPS, HOME, capsule_ends, inverse, shape
+from kit1000.planner.robot import CUPS, HOME, capsule_ends, inverse, shape, tool_pose
 from kit1000.pose import Pose
 
 pytest.importorskip("pybullet")
@@ -115,3 +115,24 @@ def test_a_held_part_meets_a_wall_where_its_side_does() -> None:
         assert gaps[found.sample] < ROOM <= gaps[found.sample - 1] + 1e-4
         assert cell.contact(path, held) is None  # above the wall
         assert cell.contact(lower, held._replace(spare=frozenset({"wall"}))) is None
+
+
+def test_a_held_part_may_touch_the_table_only_where_that_is_spared() -> None:
+    with Cell(BASE) as cell:
+        cell.add("cube", [CUBE * 0.04], Pose.from_translation([0, 5, 0.02]), movable=True)
+        joints = joints_above([0.0, -0.2, 0.04])[None]
+        held = Held("cube", Pose.from_translation([0, 0, 0.02]))
+        found = cell.contact(joints, held)
+        assert found is not None
+        assert found.what == TABLE
+        assert cell.contact(joints, held._replace(spare=frozenset({TABLE}))) is None
+
+
+def test_the_tool_s_tip_is_where_the_kinematics_say() -> None:
+    """A ball-sized block right under the lip is met, the same block 10 mm lower is not."""
+    joints = joints_above([0.05, -0.15, 0.2])
+    tip = (BASE @ tool_pose(joints)).xyz
+    for drop, met in ((0.0, True), (0.01, False)):
+        with Cell(BASE) as cell:
+            cell.add("block", [CUBE * 0.004], Pose.from_translation(tip - [0, 0, 0.002 + drop]))
+            assert (cell.contact(joints[None]) is not None) == met

@@ -8,7 +8,7 @@ from manifold3d import Manifold
 
 from kit1000.camera import look_at
 from kit1000.mesh import Mesh, mesh_from_solid
-from kit1000.planner.grasp import CUPS, Grasp, find_grasps, is_held, top_heights, touch
+from kit1000.planner.grasp import CUPS, FLATNESS, Grasp, find_grasps, is_held, top_heights, touch
 from kit1000.pose import Pose
 from kit1000.sim.cameras import CAMERA
 from kit1000.sim.layout import table
@@ -75,6 +75,14 @@ def test_what_is_not_seen_is_not_grasped() -> None:
         View(image.view.camera, image.view.world_from_camera, np.zeros_like(image.view.depth)), image.labels
     )
     assert find_grasps(blind, 0) == []
+
+
+def test_noise_beyond_the_flatness_leaves_no_spot() -> None:
+    image = seen(block(50, 40, 20), Pose.identity())
+    noise = np.random.default_rng(0).normal(0, 2e-3, image.view.depth.shape).astype(np.float32)
+    noisy = View(image.view.camera, image.view.world_from_camera, image.view.depth + noise * (image.view.depth > 0))
+    assert find_grasps(LabelledDepth(noisy, image.labels), 0, FLATNESS) == []
+    assert find_grasps(LabelledDepth(noisy, image.labels), 0, 0.02)
 
 
 def test_a_cup_leaks_over_a_hole_beside_the_rim_and_on_a_step() -> None:

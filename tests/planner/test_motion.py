@@ -47,6 +47,13 @@ def test_a_trapezoid_keeps_speed_and_acceleration_and_takes_as_long_as_the_close
     assert np.abs(np.diff(velocity) / np.diff(middle)).max() <= acceleration * (1 + 1e-3)
 
 
+@given(st.floats(1e-3, 5.0), st.floats(0.05, 2.0))
+def test_a_trapezoid_is_the_same_backwards(distance: float, speed: float) -> None:
+    at = np.linspace(0, distance, 51)
+    t = arrival_times(at, distance, speed, 0.3)
+    assert t[-1] - t[::-1] == pytest.approx(arrival_times(distance - at[::-1], distance, speed, 0.3), abs=1e-9)
+
+
 def test_a_line_is_straight_and_keeps_its_orientation_and_its_branch() -> None:
     start = Pose(DOWN.wxyz, np.array([0.45, 0.1, 0.15]))
     end = Pose(DOWN.wxyz, np.array([0.45, 0.1, 0.05]))
@@ -92,6 +99,10 @@ def test_turns_bring_a_line_near_a_reference_within_the_limits(start: np.ndarray
     assert (np.abs(near[0] - reference)[3:][free] <= np.pi + 1e-9).all()
 
 
+def test_turns_that_break_the_limits_are_refused() -> None:
+    assert turned_near(np.linspace(-4, 4, 9)[:, None] * np.ones(6), HOME) is None
+
+
 def wall(joints: np.ndarray) -> bool:
     """Free but for a wall in the first two joints that is open above 0.6 rad."""
     return not ((np.abs(joints[:, 0]) < 0.2) & (joints[:, 1] < 0.6)).any()
@@ -113,7 +124,3 @@ def test_a_free_way_is_taken_straight_and_none_is_found_where_there_is_none() ->
     assert len(find_path(start, end, lambda joints: True, np.random.default_rng(0))) == 2  # pyright: ignore[reportArgumentType]
     closed = lambda joints: not (np.abs(joints[:, 0] - 0.5) < 0.2).any()  # noqa: E731
     assert find_path(start, end, closed, np.random.default_rng(0)) is None
-
-
-def test_turns_that_break_the_limits_are_refused() -> None:
-    assert turned_near(np.linspace(-4, 4, 9)[:, None] * np.ones(6), HOME) is None

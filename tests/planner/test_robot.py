@@ -13,13 +13,16 @@ from kit1000.planner.robot import (
     ALPHA,
     ARM,
     CUPS,
+    HOME,
     TOOL_LENGTH,
     A,
     D,
     capsule_ends,
     inverse,
+    link_frames,
     shape,
     tool_pose,
+    within_limits,
 )
 from kit1000.pose import Pose
 
@@ -66,6 +69,24 @@ def test_a_straight_wrist_has_an_answer(wrist: float) -> None:
 def test_out_of_reach_there_is_no_answer() -> None:
     assert np.isnan(inverse(Pose.from_translation([2.0, 0.0, 0.3]))).all()
     assert np.isnan(inverse(Pose.from_rotvec([np.pi, 0, 0], [0.05, 0.0, 0.2]))).all()  # within the column
+
+
+def test_one_pose_and_a_batch_give_the_same_bits() -> None:
+    poses = tool_pose(RNG.uniform(-2, 2, (5, 6)))
+    np.testing.assert_array_equal(inverse(poses)[3], inverse(poses[3]))
+
+
+def test_at_home_the_cup_points_down_in_front_of_the_base() -> None:
+    home = tool_pose(HOME)
+    assert home.rotation_matrix()[:, 2] == pytest.approx([0, 0, -1], abs=1e-9)
+    assert home.xyz[0] > 0.2
+    assert within_limits(HOME)
+
+
+def test_links_are_as_long_as_published() -> None:
+    _, origins = link_frames(RNG.uniform(-3, 3, (50, 6)))
+    lengths = np.linalg.norm(np.diff(origins, axis=-2), axis=-1)
+    assert lengths == pytest.approx(np.broadcast_to(np.hypot(A, D), lengths.shape))
 
 
 def test_the_nozzle_ends_at_the_lip_of_the_cup() -> None:

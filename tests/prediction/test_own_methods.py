@@ -22,6 +22,7 @@ from kit1000.files import write_json
 from kit1000.perception.networks.weight_files import load_weights, save_weights
 from kit1000.prediction.making import source_hash, with_weights
 from kit1000.prediction.predict import predict
+from kit1000.predictor import resolved
 from kit1000.submission import read_manifest, read_submission, write_manifest
 from kit1000.weights import WEIGHTS
 from tests.samples.checkout import ROOT
@@ -49,6 +50,13 @@ def run(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     command = [sys.executable, "-m", "kit1000", "predict", *words]
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+
+
+def test_a_method_of_the_folder_is_found_by_the_command(mini: Path, tmp_path: Path) -> None:
+    (tmp_path / "my_method_a.py").write_text(GOOD)
+    done = run(tmp_path, "./my_method_a.py:predict", "--data", str(mini), "--tracks", "snap", "--out", "o")
+    assert done.returncode == 0, done.stderr
+    assert read_manifest(tmp_path / "o/manifest.toml").method == "my_method_a.py:predict"
 
 
 @pytest.mark.parametrize("name", ["./my_method_b.py:predict", "my_method_c.py:predict", "sub/my_method_d.py:predict"])
@@ -105,6 +113,12 @@ def test_a_method_that_fails_or_exits_anywhere_is_named_with_its_line(
     assert f"(failing_{kind}.py:{LINES[kind]})" in message
     assert "please report this bug" not in message
     assert kind in ("module", "broken") or message.startswith("test-s0000-p0-snap: ")
+
+
+def test_an_unloadable_module_keeps_its_message() -> None:
+    with pytest.raises(InputError, match="No module named 'nobody_has_this'"):
+        resolved("nobody_has_this:predict")
+    assert issubclass(InternalError, Exception)
 
 
 @pytest.fixture(scope="module")

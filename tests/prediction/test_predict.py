@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
+import sys
+import time
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -12,7 +15,7 @@ import numpy as np
 import pytest
 
 from baselines.__main__ import main
-from baselines.catalog import run_config
+from baselines.catalog import all_methods, run_config
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError, InternalError
 from kit1000.pose import Pose
@@ -23,6 +26,7 @@ from kit1000.predictor import PredictedMotion
 from kit1000.queries.tracks import ALL_TRACKS, TRACKS
 from kit1000.submission import Submission, check, read_submission
 from kit1000.values import Prediction, Query, TrueGeometry
+from tests.samples.checkout import ROOT
 
 STOP = "KIT1000_TEST_STOP"
 
@@ -32,6 +36,11 @@ def stopping(query: Query, geometry: TrueGeometry | None) -> PredictedMotion:
     if query.id == os.environ.get(STOP):
         raise RuntimeError("out\nof luck")
     return PredictedMotion(Pose.from_translation(query.pivot), 0.25)
+
+
+def slow(query: Query, geometry: TrueGeometry | None) -> PredictedMotion:
+    time.sleep(0.2)
+    return stopping(query, geometry)
 
 
 def refusing(query: Query, geometry: TrueGeometry | None) -> PredictedMotion:
@@ -106,6 +115,12 @@ def test_tracks_and_splits_added_one_by_one_are_what_one_run_gives(mini: Path, t
     assert Counter(i.partition("-")[0] for i in step.predictions.query_ids)["curves"] == 48
 
 
+def test_queries_of_test_appear_once_beside_test_all(mini: Path, tmp_path: Path) -> None:
+    both = predict(run_config("guess", ("test", "test-all")), mini, tmp_path / "both", 1)
+    assert len(set(both.predictions.query_ids)) == len(both.predictions)
+    assert rows(both) == rows(predict(run_config("guess", ("test-all",)), mini, tmp_path / "all", 1))
+
+
 def test_a_second_run_replaces_predictions_and_keeps_what_people_wrote(mini: Path, tmp_path: Path) -> None:
     out = tmp_path / "chance"
     zero = predict(run_config("chance", tracks=("snap",)), mini, out, 1)
@@ -161,14 +176,30 @@ def test_a_run_that_fails_names_the_query_and_resumes(
     assert 0 < len(kept) < len(query_ids_of(mini, "test"))
     assert not out.exists()
     monkeypatch.delenv(STOP)
-    with open(journal, "a") as file:
-        file.write('["half a li')  # as if it had been killed while writing
     whole = predict(config, mini, out, workers)
     assert list(whole.predictions.query_ids) == query_ids_of(mini, "test")
     assert not journal.exists()
     kept_seconds = {row[0]: row[-1] for row in map(json.loads, kept)}
     at = {i: float(s) for i, s in zip(whole.predictions.query_ids, whole.predictions.seconds, strict=True)}
     assert all(at[query_id] == seconds for query_id, seconds in kept_seconds.items())  # not computed again
+
+
+def test_a_killed_run_resumes(mini: Path, tmp_path: Path) -> None:
+    out, journal = tmp_path / "mine", tmp_path / "mine.journal"
+    command = [sys.executable, "-m", "baselines", "predict", named(slow), "--data", str(mini), "--out", str(out)]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    process = subprocess.Popen([*command, "--workers", "1"], cwd=ROOT, env=environment, stderr=subprocess.DEVNULL)
+    limit = time.monotonic() + 60
+    while not (journal.is_file() and journal.read_text().count("\n") > 2):
+        assert process.poll() is None, "the run ended before it could be killed"
+        assert time.monotonic() < limit, "the run never predicted anything"
+        time.sleep(0.02)
+    process.kill()
+    process.wait()
+    with open(journal, "a") as file:
+        file.write('["half a li')  # as if it had been killed while writing
+    whole = predict(run_config(named(slow)), mini, out, 1)
+    assert list(whole.predictions.query_ids) == query_ids_of(mini, "test")
 
 
 def test_an_error_of_a_method_names_the_query(mini: Path, tmp_path: Path) -> None:
@@ -236,6 +267,11 @@ def test_a_run_without_queries_is_refused(config: runner.RunConfig, message: str
     with pytest.raises(InputError, match=message):
         predict(config, mini, tmp_path / "out", 1)
     assert not list(tmp_path.iterdir())
+
+
+def test_the_command_lists_all_methods(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["list"]) == 0
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == list(all_methods())
 
 
 def test_the_command_predicts_and_prints_what_it_wrote(

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from kit1000.camera import Camera, look_at
+from kit1000.dataset.scene_queries import GuessDraw
 from kit1000.errors import InputError
 from kit1000.kits.goals import nearest_about_axis
 from kit1000.pose import Pose, quaternion_angle, random_quaternions
@@ -29,6 +30,7 @@ from kit1000.queries.guesses import (
 )
 from kit1000.queries.motions import apply_error, error_of, goal_motion, goal_pose
 from kit1000.queries.pivots import part_pivots
+from kit1000.sim.sensors import sense
 from kit1000.values import FIRST_PART_LABEL, FreeAxis, Slot, View
 from tests.samples.strategies import directions, poses, vectors
 
@@ -72,6 +74,12 @@ def test_error_of_reads_back_an_applied_error(
 
 
 @laws
+@given(poses(), poses(), vectors())
+def test_applying_the_error_of_a_guess_gives_the_guess(goal: Pose, guess: Pose, pivot: np.ndarray) -> None:
+    assert is_close(apply_error(goal, pivot, *error_of(guess, goal, pivot)), guess, 1e-10)
+
+
+@laws
 @given(poses(), vectors(), vectors(0.05), directions(), st.floats(0, 3))
 def test_a_guess_is_the_product_in_the_docs(
     goal: Pose, pivot: np.ndarray, offset: np.ndarray, axis: np.ndarray, angle: float
@@ -105,6 +113,15 @@ def test_a_guess_moves_with_the_world(
         moved_from_world.rotate(angle * axis),
     )
     assert is_close(moved, moved_from_world @ guess @ world_from_moved, 1e-11)
+
+
+@laws
+@given(poses(), vectors(), vectors(), directions())
+def test_the_offset_at_the_pivot_does_not_depend_on_the_rotation(
+    goal: Pose, pivot: np.ndarray, offset: np.ndarray, rotvec: np.ndarray
+) -> None:
+    pivot_offset = apply_error(goal, pivot, offset, rotvec).apply(pivot) - goal.apply(pivot)
+    assert np.abs(pivot_offset - offset).max() < 1e-12
 
 
 @pytest.mark.parametrize("draw", [draw_ball_error, draw_tilt_error])
@@ -169,6 +186,18 @@ def test_a_goal_at_an_angle_is_that_goal_rotated_about_the_axis(angle: float) ->
     assert np.allclose(goal.apply(part_points), line, atol=1e-12)
 
 
+def test_goal_poses_broadcast_over_angles() -> None:
+    angles = np.linspace(0, 6, 7)
+    batch = goal_pose(slot(free=True), 0, angles)
+    assert batch.batch_shape == (7,)
+    assert all(is_close(batch[i], goal_pose(slot(free=True), 0, angle)) for i, angle in enumerate(angles))
+
+
+def test_a_slot_without_an_axis_rejects_an_angle() -> None:
+    with pytest.raises(InputError, match="angle: the slot of p has no free axis"):
+        goal_pose(slot(), 0, 0.1)
+
+
 @laws
 @given(poses(), poses())
 def test_a_goal_motion_moves_the_part_to_its_goal(world_from_part: Pose, world_from_kit: Pose) -> None:
@@ -185,6 +214,11 @@ def test_levels_are_evenly_spaced_from_zero_to_the_maximum() -> None:
     for level in (-1, LEVELS):
         with pytest.raises(InputError, match="level: expected 0 to 7"):
             level_offset(level)
+
+
+def test_the_row_of_a_draw_is_plain_json() -> None:
+    row = GuessDraw(2, 0.5, np.array([1e-3, 0, 0]), np.array([0, 0, 0.1])).row
+    assert row == {"goal": 2, "turn": 0.5, "offset": [1e-3, 0.0, 0.0], "rotvec": [0.0, 0.0, 0.1]}
 
 
 CAMERA = Camera(160, 120, 200.0, 200.0, 79.5, 59.5)
@@ -225,6 +259,13 @@ def test_it_is_the_middle_between_the_outer_tenths_of_the_points_three_pixels_in
     assert np.allclose(pivot(view, labels) * 1e4, np.round(pivot(view, labels) * 1e4), atol=1e-9)
 
 
+def test_it_moves_with_the_camera() -> None:
+    view, labels = image()
+    moved_from_world = Pose.from_translation((0.0123, -0.0045, 0.1))
+    moved = replace(view, world_from_camera=moved_from_world @ view.world_from_camera)
+    assert np.allclose(pivot(moved, labels), moved_from_world.apply(pivot(view, labels)), atol=1e-12)
+
+
 @pytest.mark.parametrize("border", [1, 2, 3])
 def test_depths_of_the_background_at_the_border_of_the_mask_do_not_move_it(border: int) -> None:
     view, labels = image()
@@ -242,6 +283,14 @@ def test_flying_pixels_anywhere_hardly_move_it() -> None:
     flying = rng.random(labels.shape) < 0.04
     noisy = replace(view, depth=np.where(flying, view.depth + rng.uniform(-0.3, 0.3, labels.shape), view.depth))
     assert np.linalg.norm(pivot(noisy, labels) - pivot(view, labels)) < 6e-3
+
+
+def test_the_noise_of_a_scanner_moves_it_by_millimetres() -> None:
+    view, labels = image()
+    for seed in range(5):
+        noisy = sense("photoneo", view, np.random.default_rng(seed))
+        calibrated = replace(noisy, world_from_camera=POSE)
+        assert np.linalg.norm(pivot(calibrated, labels) - pivot(view, labels)) < 5e-3
 
 
 @pytest.mark.parametrize("width", [1, 2, 5, 6, 30])

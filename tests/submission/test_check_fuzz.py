@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from kit1000.cli import main
 from kit1000.errors import InputError
 from kit1000.files import json_bytes
 from kit1000.submission import Report, check, read_manifest, read_predictions, write_manifest, write_predictions
@@ -39,17 +40,22 @@ MANIFEST_FILES = [as_bytes(content) for content, *_ in BROKEN_MANIFESTS.values()
 
 
 def mutated(rng: np.random.Generator, files: list[bytes]) -> bytes:
-    """A file with bytes flipped, cut or repeated, or with tokens inserted."""
+    """A file with bytes flipped, cut, repeated, spliced with another file, or with tokens inserted."""
     data = files[rng.integers(len(files))][:20_000]
     for _ in range(rng.geometric(0.4)):
         i, j = sorted(rng.integers(len(data) + 1, size=2).tolist())
-        how = rng.integers(5)
+        how = rng.integers(8)
+        other = files[rng.integers(len(files))][:20_000]
+        k = int(rng.integers(len(other) + 1))
         token, flip = TOKENS[rng.integers(len(TOKENS))], 1 << int(rng.integers(8))
         data = (
             data[:i] + rng.bytes(int(rng.integers(1, 4))) + data[i + 1 :],
             data[:i] + bytes(byte ^ flip for byte in data[i : i + 1]) + data[i + 1 :],
+            data[:i],
             data[:i] + data[j:],
             data[:j] + data[i:],
+            data[:i] + other[k:],
+            data[:i] + token + data[i:],
             data[:i] + token + data[j:],
         )[how]
     return data if rng.random() < 0.97 else rng.bytes(int(rng.integers(1, 300)))
@@ -111,3 +117,12 @@ def test_any_bytes_give_a_report(against_data: bool, tmp_path: Path, request: py
         done += 1
     print(f"{done} folders checked")
     assert done
+
+
+def test_the_command_exits_with_0_or_1_for_any_bytes(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    for number, manifest, predictions in files(SECONDS / 4, seed=2):
+        (tmp_path / "manifest.toml").write_bytes(manifest)
+        (tmp_path / "predictions.csv").write_bytes(predictions)
+        assert main(["check", str(tmp_path)]) in (0, 1), number
+        out, err = capfd.readouterr()
+        assert (bool(out), err) == (True, "")

@@ -95,6 +95,19 @@ def test_single_predictions_can_be_collected(tmp_path: Path) -> None:
         assert same(read_predictions(tmp_path / "p.csv"), some)
 
 
+def test_a_prediction_is_found_by_its_query() -> None:
+    predictions = random_predictions()
+    assert [predictions.row(query_id) for query_id in predictions.query_ids] == list(range(len(predictions)))
+    assert predictions.row("test-s9999-p0-snap") is None
+
+
+def test_arrays_cannot_be_written_to() -> None:
+    predictions = random_predictions()
+    for array in (predictions.confidence, predictions.seconds, predictions.motions.xyz):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0
+
+
 @pytest.mark.parametrize(
     ("changes", "facts"),
     [
@@ -129,6 +142,11 @@ def test_manifest_values_that_could_not_be_read_are_refused_by_name(changes: dic
         replace(MANIFEST, **changes)
     assert f"manifest: {next(iter(changes))} = " in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_table_shows_the_label_or_the_name_of_the_method() -> None:
+    assert MANIFEST.display_name == MANIFEST.method
+    assert replace(MANIFEST, label="Short").display_name == "Short"
 
 
 TEXT = st.text(st.characters(exclude_categories=["Cs", "Cc"]) | st.sampled_from("\n\t\\\"'#"), min_size=1, max_size=40)

@@ -56,6 +56,11 @@ def test_an_observation_that_does_not_fit_is_refused(tmp_path: Path, case: str) 
         write(tmp_path / "a.mcap", [scene])
 
 
+def test_a_scene_is_recorded_once(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="test-s0000 is recorded twice"):
+        write(tmp_path / "a.mcap", [observation(), observation()])
+
+
 def test_models_of_unknown_bodies_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"models parts/x, expected"):
         write_truth(tmp_path / "t.mcap", [replace(truth(), models={"parts/x": b""})])
@@ -167,3 +172,12 @@ def test_flipped_bytes_change_nothing_or_are_detected(
     for place, change in data.draw(st.lists(flips, min_size=1, max_size=3)):
         damaged[place] ^= change
     assert_same_or_refused(tmp_path / "flipped", bytes(damaged), name)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["seen", "truth"])
+def test_every_flipped_byte_is_detected(tmp_path: Path, intact: dict[str, bytes], name: str) -> None:
+    for place in range(0, len(intact[name]), 5):
+        damaged = bytearray(intact[name])
+        damaged[place] ^= 1 << place % 8
+        assert_same_or_refused(tmp_path / "flipped", bytes(damaged), name)

@@ -163,6 +163,20 @@ def test_small_messages_are_one_chunk_of_a_scene_and_each_image_is_another(large
     assert len(summary.chunk_indexes) == 5 * 6
 
 
+def chunk_messages(path: Path, k: int) -> list[str]:
+    with open(path, "rb") as file:
+        messages = list(make_reader(file).iter_messages())
+    return [c.topic for _, c, m in messages if m.log_time // 10**9 == 1_767_225_600 + k]
+
+
+def test_small_messages_come_first(seen: Path) -> None:
+    cameras, rest = (
+        ["/ideal/camera", "/d415/camera", "/preview/camera"],
+        ["/ideal/labels", "/ideal/depth", "/d415/depth"],
+    )
+    assert chunk_messages(seen, 1) == [*cameras, "/tf", *["/query"] * 3, "/preview", "/points", *rest]
+
+
 def test_viewers_find_a_calibration_and_a_frame_for_every_depth_image(tmp_path: Path, seen: Path) -> None:
     for path in (seen, write(tmp_path / "three.mcap", [extra_views()])):
         with open(path, "rb") as file:
