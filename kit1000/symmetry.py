@@ -137,6 +137,13 @@ class Symmetry:
             smallest = np.minimum(smallest, _residual(quaternion_multiply(inverse, difference), self.axis))
         return smallest
 
+    def conjugated(self, q: ArrayLike) -> Symmetry:
+        """The symmetry of the same part after a rotation by q (4,) in its own axes."""
+        rotation = checked("q", normalized_quaternion(q, "q"), (4,))
+        rotated = quaternion_multiply(quaternion_multiply(rotation, self.rotations), quaternion_conjugate(rotation))
+        rotated[0] = IDENTITY  # exactly, not to rounding
+        return Symmetry(rotated, None if self.axis is None else Pose(rotation, np.zeros(3)).rotate(self.axis))
+
     def is_group(self, tol: float = GROUP_TOLERANCE) -> bool:
         """Whether the identity is first, elements are distinct and products are elements, within `tol` [rad]."""
         g = self.rotations

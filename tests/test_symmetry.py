@@ -302,3 +302,24 @@ def test_error_broadcasts_and_rejects_wrong_shapes() -> None:
 
 
 # --- other forms ---
+
+
+@each
+@given(turn=quaternions(), estimate=quaternions(), truth=quaternions())
+@settings(max_examples=10)
+def test_conjugated_is_the_symmetry_of_the_rotated_part(
+    sym: Symmetry, turn: np.ndarray, estimate: np.ndarray, truth: np.ndarray
+) -> None:
+    # Rotating the part by q in its own axes and every pose back by q changes nothing in the scene.
+    turned = sym.conjugated(turn)
+    back = quaternion_conjugate(turn)
+    error = turned.error(quaternion_multiply(estimate, back), quaternion_multiply(truth, back))
+    assert error == pytest.approx(sym.error(estimate, truth), abs=2 * ROUNDING)
+    assert turned.rotations[0].tolist() == [1, 0, 0, 0]
+    assert turned.name == sym.name
+
+
+def test_conjugated_moves_a_free_axis() -> None:
+    turned = Symmetry.free([1, 0, 0]).conjugated(quaternion_from_rotvec([0, 0, np.pi / 2]))
+    assert turned.axis is not None
+    assert np.allclose(turned.axis, [0, 1, 0], rtol=0, atol=ROUNDING)
