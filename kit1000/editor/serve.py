@@ -98,7 +98,7 @@ def editing(options: Options, sink: Sink | None = None, moves: bool = False) -> 
             worker = None if options.snap == NO_SNAP else Worker(method, scene.parts)
             table = seen_table(dataset.summary, options.scene)
             stage = ViserStage(server, Panel.of_editor(options.interface, worker is not None), table)
-            stage.say("head", head_text(header, camera_name(sensor_of(dataset.summary, options.sensor))))
+            stage.say("head", head_text(header, camera_name(sensor_of(dataset.summary, options.sensor, options.scene))))
             controller = Controller(scene, stage, log, worker, moves)
             stage.listen(controller)
             log.add("open")

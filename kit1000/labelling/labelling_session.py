@@ -59,7 +59,7 @@ class OwnScenes:
         if labels is None or not keys:
             raise InputError(f"{self.root}: scene {scene_id} has no masks: import the image again")
         key = keys[0] if view is None else view
-        return key, LabelledDepth(file.view(scene_id, key), labels), sensor_of(dataset.summary, key)
+        return key, LabelledDepth(file.view(scene_id, key), labels), sensor_of(dataset.summary, key, scene_id)
 
 
 def register(scenes: OwnScenes, kits: KnownKits, parts: Sequence[str] = ()) -> Iterator[LabelRecord]:
