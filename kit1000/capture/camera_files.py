@@ -156,7 +156,10 @@ def _coefficients(row: Mapping[str, Any]) -> Any:
     """The distortion of a file: an array, a mapping with `data`, or single numbers."""
     value = next((row[name] for name in COEFFICIENTS if row.get(name) is not None), None)
     value = value.get("data") if isinstance(value, Mapping) else value
-    return [row.get(name) or 0 for name in SINGLE] if value is None and "k1" in row else value or []
+    if value is None and any(name in row for name in SINGLE):
+        single = [row.get(name) or 0 for name in SINGLE]
+        return single if any(single[5:]) else single[:5]
+    return value or []
 
 
 def _number(row: Mapping[str, Any], name: str, path: Path) -> float:

@@ -33,6 +33,8 @@ from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, View
 
 UNKNOWN_DEVICE = "depth camera"
 NEAR_TABLE, FAR_TABLE = 0.12, 1.5  # [m] of the camera above a table
+BENT_SHARE = 0.8  # of the pixels with a return on the table: below it lengths of rays are tried, which bend a table
+FLATTER = 1.25  # ratio of the shares from which the values surely are such lengths
 SMALL_KIT, LARGE_KIT = 30e-3, 0.4  # [m] longer side of a kit
 FINE_UNITS = (1e-4, 2e-4, 2.5e-4)  # [m] usual units beside 1 mm
 
@@ -138,12 +140,32 @@ def _image_and_table(frames: Sequence[DepthFrame], known: Intrinsics, unit: floa
     try:
         depth = mean_depth([metric_depth(frame, unit) for frame in frames])
         image = pinhole_image(depth, known, first.source)
-        return image, find_table(image, first.source)
+        table = find_table(image, first.source)
+        _check_no_ray_lengths(depth, known, table, first.source)
+        return image, table
     except UnlikelyDepth as error:
         middle = error.median / unit
         other = next((each for each in UNITS if NEAR_TABLE <= middle * each <= 2 * FAR_TABLE), None)
         advice = "" if other is None else f"; is the unit {other:g} m? Give --depth-scale {other:g}"
         raise InputError(f"{error}{advice}") from None
+
+
+def _check_no_ray_lengths(depth: np.ndarray, known: Intrinsics, table: Table, source: str) -> None:
+    """Raise InputError if far more pixels lie on a table when depths (H, W) [m] are read as lengths of rays."""
+    if table.share_of_returns >= BENT_SHARE:
+        return
+    v, u = np.indices(depth.shape)
+    lengths = np.sqrt(((u - known.cx) / known.fx) ** 2 + ((v - known.cy) / known.fy) ** 2 + 1)  # of rays of depth 1
+    try:
+        flat = find_table(pinhole_image((depth / lengths).astype(np.float32), known, source), source)
+    except InputError:
+        return
+    if flat.share_of_returns >= max(BENT_SHARE, FLATTER * table.share_of_returns):
+        raise InputError(
+            f"{source}: the table fills {100 * table.share_of_returns:.0f} % of the depths, but "
+            f"{100 * flat.share_of_returns:.0f} % if they are lengths of rays: divide them by sqrt(x² + y² + 1) with "
+            "x = (u - cx) / fx, y = (v - cy) / fy"
+        )
 
 
 def _check_assumed_unit(source: str, unit: float, distance: float, kit: tuple[float, float]) -> None:

@@ -87,6 +87,11 @@ class Table:
         return float(self.mask.mean())
 
     @property
+    def share_of_returns(self) -> float:
+        """Share of the pixels with a return that lie on the table."""
+        return float(np.count_nonzero(self.solid_mask) / max(np.count_nonzero(self.image.depth), 1))
+
+    @property
     def ripple(self) -> float:
         """[m] robust standard deviation of the table's heights, without its bending over the whole image."""
         heights = self.flat_heights[self.mask]
@@ -169,11 +174,10 @@ def find_table(image: PinholeImage, source: str) -> Table:
         raise InputError(f"{source}: no plane is seen from above: is the table in view?")
     coefficients, spread = _fitted(rays[seen], inverse[seen], best)
     table = Table(image, coefficients, spread)
-    share = np.count_nonzero(table.solid_mask) / max(np.count_nonzero(depth), 1)
-    if share < LEAST_SHARE or not _plausible(coefficients):
+    if table.share_of_returns < LEAST_SHARE or not _plausible(coefficients):
         raise InputError(
-            f"{source}: the largest plane holds {100 * share:.0f} % of the image, expected {100 * LEAST_SHARE:.0f} or "
-            "more: is the table in view?"
+            f"{source}: the largest plane holds {100 * table.share_of_returns:.0f} % of the image, expected "
+            f"{100 * LEAST_SHARE:.0f} or more: is the table in view?"
         )
     return table
 

@@ -358,6 +358,7 @@ def test_the_page_compares_the_pose_in_a_base_with_the_table(
     words = ["edit", str(folder), "--scene", "test-s0000", "--snap", "none", "--out", str(tmp_path / "out")]
     assert main([*words, "--base-from-camera", str(pose_file(tmp_path / "base.json", wrong))]) == 2
     assert fact in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_scene_is_named_where_there_are_several(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

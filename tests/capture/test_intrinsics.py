@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kit1000.capture.camera_files import read_intrinsics
+from kit1000.capture.camera_files import SINGLE, read_intrinsics
 from kit1000.capture.intrinsics import Intrinsics, distorted
 from kit1000.errors import InputError
 
@@ -79,6 +79,7 @@ HOSTILE = {  # by what is in the file: facts of the message
     '{"fx": 600, "fy": 600, "cx": 320, "cy": 240, "stream": "colour"}': "raw",
     '{"fx": 600, "fy": 600, "cx": 320, "cy": 240, "radial_distortion": [0.1]}': "the key radial_distortion",
     '{"fx": 600, "fy": 600, "cx": 320, "cy": 240, "depthUnit": 0.1}': "the key depthUnit",
+    '{"fx": 600, "fy": 600, "cx": 320, "cy": 240, "DepthMapFactor": 5000}': "the key DepthMapFactor",
     '{"fx": 600, "fy": 600, "cx": 320, "cy": 240, "stereo_baseline": 55}': "the key stereo_baseline",
     '{"fx": 600, "fy": 600, "cx": 320, "cy": 240, "width": Infinity, "height": 480}': "width",
     '{"fx": 600, "fy": 600, "cx": 320, "cy": 240, "coeffs": ["a"]}': "distortion",
@@ -123,7 +124,7 @@ def test_an_empty_or_missing_distortion_is_none(tmp_path: Path) -> None:
         assert not read_intrinsics([str(written(tmp_path, value))]).distorted
 
 
-@pytest.mark.parametrize("text", ["", "a b c", "600 0 320\n0 600 240\n0 0\n"])
+@pytest.mark.parametrize("text", ["", "a b c", "600 0 320\n0 600 240\n0 0\n", "600 0 320 -33\n0 600 240 0\n0 0 1 0"])
 def test_a_text_file_without_a_matrix_is_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / "k.txt").write_text(text)
     with pytest.raises(InputError, match="3 x 3 numbers"):
@@ -136,6 +137,7 @@ SAME_DISTORTION: dict[str, dict[str, Any]] = {
     "ros": {"camera_matrix": {"data": K}, "distortion_coefficients": {"rows": 1, "data": COEFFICIENTS}},
     "nested": FIELDS | {"coeffs": [COEFFICIENTS]},
     "single": FIELDS | dict(zip(("k1", "k2", "p1", "p2", "k3"), COEFFICIENTS, strict=True)),
+    "of eight": FIELDS | dict(zip(SINGLE, [*COEFFICIENTS, 0, 0, 0], strict=True)),
 }
 
 
@@ -146,8 +148,14 @@ def test_distortion_is_read_under_any_usual_name(tmp_path: Path, name: str, suff
     path.write_text(json.dumps(SAME_DISTORTION[name]), encoding="utf-8")  # JSON is YAML
     found = read_intrinsics([str(path)])
     assert (found.fx, found.cy) == (FX, CY)
-    assert found.coefficients[:5] == pytest.approx(COEFFICIENTS)
-    assert not any(found.coefficients[5:])
+    assert found.coefficients == pytest.approx(COEFFICIENTS)
+    assert found.forward_model == "plumb_bob"
+
+
+@pytest.mark.parametrize("place", range(len(SINGLE)))
+def test_a_single_coefficient_counts(tmp_path: Path, place: int) -> None:
+    found = read_intrinsics([str(written(tmp_path, FIELDS | {SINGLE[place]: 0.05}))])
+    assert found.coefficients[place] == 0.05
 
 
 def test_distortion_that_cannot_be_undone_is_refused() -> None:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from kit1000.camera import look_at
 from kit1000.capture.depth_frames import DepthFrame
 from kit1000.capture.intrinsics import Intrinsics
 from kit1000.capture.options import ImportOptions
@@ -44,8 +45,9 @@ def scene() -> OwnScene:
     return scene_of(millimetres(noisy_depth(exact_depth(), 0.05)))
 
 
-def test_bodies_have_the_sizes_of_a_ruler(scene: OwnScene) -> None:
-    assert len(scene.parts) == len(PARTS)
+@pytest.mark.parametrize("eye", [EYE, look_at((0.15, -0.3, 0.75), (0.0, 0.02, 0.0))])
+def test_from_anywhere_bodies_have_the_sizes_of_a_ruler(eye: Pose) -> None:
+    scene = scene_of(millimetres(noisy_depth(exact_depth(eye=eye), 0.05)))
     for body, ((x, y, z), _) in zip(scene.bodies, BODIES, strict=True):
         assert body.sides == pytest.approx(sorted((x, y)), abs=5e-3)
         assert body.height == pytest.approx(z, abs=2e-3)
@@ -209,6 +211,13 @@ def test_a_wrong_unit_is_refused_with_one_that_fits(name: str) -> None:
     values, fact = WRONG_UNITS[name]
     with pytest.raises(InputError, match=fact):
         scene_of(values, known=UNNAMED)
+
+
+def test_lengths_of_rays_are_no_depths() -> None:
+    v, u = np.indices(METRES.shape)
+    lengths = np.sqrt(((u - CAMERA.cx) / CAMERA.fx) ** 2 + ((v - CAMERA.cy) / CAMERA.fy) ** 2 + 1)
+    with pytest.raises(InputError, match="lengths of rays"):
+        scene_of(millimetres(METRES * lengths))
 
 
 def test_wrong_intrinsics_show_in_the_sizes_and_fail_the_check(scene: OwnScene) -> None:

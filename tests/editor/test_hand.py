@@ -137,6 +137,7 @@ def test_all_undone_is_the_beginning_and_closing_loses_nothing(scene: EditedScen
     controller.command("confirm")
     choose(table, part)
     last = space.session
+    assert table.stage.events == EventLog(tmp_path, header_of(scene, interface="hand")).rows  # as the sink got them
     again, other = hand(scene, tmp_path)
     assert all(edit.same_as(last.edits[body]) for body, edit in other.session.edits.items())
     assert other.carried(PLACE) == space.carried(PLACE)

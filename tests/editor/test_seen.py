@@ -93,6 +93,16 @@ def test_no_triangle_bridges_a_step_in_depth() -> None:
     assert len(surface.faces) == 2 * 59 * (39 + 39)
 
 
+def test_where_nothing_is_seen_there_is_no_surface_no_plate_and_no_support() -> None:
+    view, labels = pictured()
+    blind = View(CAMERA, VIEW_POSE, np.zeros_like(view.depth))
+    assert not len(seen_surface(view, labels == 9).faces)
+    assert not len(seen_surface(blind, np.ones(labels.shape, bool)).faces)
+    assert find_plates(view, labels == 9, IDEAL.noise) == []
+    pointing = Pointing(seen()[1], [])
+    assert pointing.support(EYE, (0.5, 0.0)) is pointing.support(EYE, (-3.0, 0.5)) is None  # off the table
+
+
 def test_a_skirt_closes_a_part_down_to_the_table() -> None:
     part = seen()[2]
     edges = np.concatenate([part.faces[:, [0, 1]], part.faces[:, [1, 2]], part.faces[:, [2, 0]]])

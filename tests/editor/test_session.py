@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from kit1000.editor.session import LIKELY, UNTOUCHED, Session
+from kit1000.editor.session import LIKELY, UNTOUCHED, PartEdit, Session
+from kit1000.errors import InputError
 from kit1000.pose import Pose
 
 PARTS = (0, 2, 5)
@@ -92,3 +94,17 @@ def test_moving_by_hand_takes_back_snap_and_confirmation() -> None:
 def test_a_fit_below_likely_is_snapped_but_unsure() -> None:
     assert UNTOUCHED.taken(Pose.identity(), LIKELY).state == "snapped"
     assert UNTOUCHED.taken(Pose.identity(), np.nextafter(LIKELY, 0)).state == "unsure"
+
+
+def test_an_operation_without_effect_leaves_no_trace() -> None:
+    session = Session.begin(PARTS)
+    assert session.did("move", {0: UNTOUCHED.moved(Pose.identity())}) is session
+    assert session.undo() is session.redo() is session
+
+
+def test_edits_that_cannot_be_are_refused() -> None:
+    with pytest.raises(InputError, match="part 1: expected one of 0, 2, 5"):
+        Session.begin(PARTS).did("move", {1: UNTOUCHED})
+    for confidence in (-0.1, 1.1, np.nan):
+        with pytest.raises(InputError, match="confidence"):
+            PartEdit(Pose.identity(), confidence=confidence)

@@ -71,7 +71,10 @@ def test_a_plan_comes_back_from_its_file(tmp_path: Path) -> None:
     assert read_plan(tmp_path).id == plan.id != plan_of(8, seed=8).id
 
 
-@pytest.mark.parametrize("change", [{"people": 16}, {"orders": []}, {"conditions": ["scene"]}, {"format": "other"}])
+CHANGES = [{"people": 16}, {"people": "many"}, {"seed": 1}, {"orders": []}, {"conditions": ["scene"]}, {"tasks": None}]
+
+
+@pytest.mark.parametrize("change", [*CHANGES, {"format": "other"}])
 def test_a_changed_plan_is_refused_in_one_line(tmp_path: Path, change: dict[str, object]) -> None:
     write_plan(tmp_path, plan_of())
     path = tmp_path / FILE

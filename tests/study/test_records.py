@@ -128,7 +128,9 @@ def test_a_report_finds_the_effects_of_its_records(study: Path) -> None:
     assert change["low"] < -20 < change["high"]
     assert change["n"] == numbers["n"] == 4
     assert rows["success"]["difference"]["mean"] == pytest.approx(40, abs=15)  # one part of two or three per task
-    assert [row["name"] for row in numbers["ratings"]][-1] == "load"
+    scales, load = numbers["ratings"][:-1], numbers["ratings"][-1]
+    assert len(scales) == 6
+    assert load["difference"]["mean"] == pytest.approx(sum(row["difference"]["mean"] for row in scales) / 6)
     assert all(
         row["p_holm"] >= min(row["difference"]["t_p"], row["difference"]["wilcoxon_p"])
         for row in numbers["ratings"][:-1]
