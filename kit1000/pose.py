@@ -1,8 +1,8 @@
 """Rigid poses and rotations: unit quaternions (w, x, y, z) and positions [m], batched over leading axes.
 
 `a_from_b` maps coordinates in b to coordinates in a, so that `a_from_c = a_from_b @ b_from_c`. Angles are computed by
-atan2, and the exponential map uses series where the closed form cancels, so results are accurate to rounding from 0 to
-180 degrees. No sum uses a matrix library: a result does not depend on the number of poses or points in a batch.
+atan2, so results are accurate to rounding from 0 to 180 degrees. No sum uses a matrix library: a result does not depend
+on the number of poses or points in a batch.
 """
 
 from __future__ import annotations
@@ -27,15 +27,6 @@ UNIT_TOLERANCE = 4 * np.finfo(np.float64).eps
 NORM_LIMIT = 1e100
 # Directions this close to opposite [rad] define no rotation axis: any perpendicular one is used.
 OPPOSITE_TOLERANCE = 1e-12
-# Below this angle [rad] the closed-form coefficients of the exponential map lose digits by cancellation; both series
-# are truncated where the next term is under 1e-16 of the first.
-SERIES_ANGLE = 0.5
-# (t - sin t) / t^3 = sum over k of (-1)^k t^(2k) / (2k + 3)!
-_EXP_SERIES = (1 / 6, -1 / 120, 1 / 5040, -1 / 362880, 1 / 39916800, -1 / 6227020800, 1 / 1307674368000)
-# (1 - t/2 cot t/2) / t^2 = sum over k of |B_2k| / (2k)! t^(2k-2), with the Bernoulli numbers B
-_LOG_SERIES = (
-    1 / 12, 1 / 720, 1 / 30240, 1 / 1209600, 1 / 47900160, 691 / 1307674368000, 1 / 74724249600,
-)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,35 +76,6 @@ class Pose:
         if np.any(np.abs(rows[..., 3, :] - (0.0, 0.0, 0.0, 1.0)) > ROTATION_TOLERANCE):
             raise InputError("matrix: expected the last row 0 0 0 1 (positions are in the last column)")
         return cls.from_rotation_matrix(rows[..., :3, :3], rows[..., :3, 3])
-
-    @classmethod
-    def exp(cls, twist: ArrayLike) -> Pose:
-        """Exponential map of SE(3). twist: (..., 6) = rho (..., 3) [m], phi (..., 3) [rad].
-
-        Rotation exp(phi), position V rho with V = I + (1 - cos t)/t^2 [phi] + (t - sin t)/t^3 [phi]^2 and
-        t = |phi|: Sola, Deray, Atchuthan, "A micro Lie theory" (2018), equations 172 and 174.
-        """
-        rho, phi = np.split(checked("twist", twist, (..., 6)), 2, axis=-1)
-        angle = np.linalg.norm(phi, axis=-1, keepdims=True)
-        closed = np.maximum(angle, SERIES_ANGLE)
-        first = 0.5 * _sinc(angle / 2) ** 2  # (1 - cos t)/t^2, without cancellation
-        second = np.where(angle < SERIES_ANGLE, _series(_EXP_SERIES, angle), (closed - sine(closed)) / closed**3)
-        once = np.cross(phi, rho)
-        return cls(quaternion_from_rotvec(phi), rho + first * once + second * np.cross(phi, once))
-
-    def log(self) -> np.ndarray:
-        """Inverse of `exp`: the shortest twist. (..., 6) = rho (..., 3) [m], phi (..., 3) [rad], |phi| <= pi.
-
-        The inverse of V is I - [phi]/2 + (1 - t/2 cot t/2)/t^2 [phi]^2: equation 146 of the same paper, with its first
-        coefficient in terms of the half angle.
-        """
-        phi = self.rotvec()
-        angle = np.linalg.norm(phi, axis=-1, keepdims=True)
-        half = np.maximum(angle, SERIES_ANGLE) / 2
-        closed = (1 - half * cosine(half) / sine(half)) / (4 * half**2)
-        factor = np.where(angle < SERIES_ANGLE, _series(_LOG_SERIES, angle), closed)
-        once = np.cross(phi, self.xyz)
-        return np.concatenate([self.xyz - 0.5 * once + factor * np.cross(phi, once), phi], axis=-1)
 
     __array_ufunc__ = None  # so that `array @ pose` raises TypeError instead of iterating over the pose
 
@@ -363,15 +325,6 @@ def _angle(q: np.ndarray) -> np.ndarray:
 def _sinc(x: np.ndarray) -> np.ndarray:
     """sin(x)/x, accurate to rounding, 1 at x = 0."""
     return np.where(x == 0, 1.0, sine(x) / np.where(x == 0, 1.0, x))
-
-
-def _series(coefficients: tuple[float, ...], angle: np.ndarray) -> np.ndarray:
-    """Power series in the square of the angle, which is clamped to SERIES_ANGLE. (...,) -> (...,)."""
-    square = np.minimum(angle, SERIES_ANGLE) ** 2
-    total = np.zeros_like(square)
-    for coefficient in reversed(coefficients):
-        total = total * square + coefficient
-    return total
 
 
 def _trailing(name: str, array: ArrayLike, size: int) -> np.ndarray:

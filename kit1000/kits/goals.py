@@ -34,6 +34,7 @@ ALIGN_RANGE = np.radians(4.5)  # [rad] of the fine search for a yaw; the coarse 
 NEAR_GOAL_ANGLE = np.radians(1)  # up to which a pose counts as a goal
 NEAR_GOAL_SHIFT = 5e-3  # [m] a pose nearer to a goal than this and than `rotation_limit` is no other pose
 SHIFT_PER_CLEARANCE = 2.0  # the same shift for each metre of clearance
+COMPARED = 8  # shadows of a design, spread over its depth
 SAME_GOAL_ANGLE, SAME_GOAL_SHIFT = np.radians(1.0), 0.2e-3  # goals closer than both are one goal
 
 
@@ -101,9 +102,9 @@ def has_design_shadow(design: PartShadows, standing: Manifold) -> bool:
     return True
 
 
-def _compared(part: PartShadows, most: int = 8) -> list[Shadow]:
-    """The shadows to compare, the rim's first: it differs most often."""
-    picks = np.unique(np.linspace(0, len(part.shadows) - 1, most).round().astype(int))
+def _compared(part: PartShadows) -> list[Shadow]:
+    """The shadows to compare, at most COMPARED, the rim's first: it differs most often."""
+    picks = np.unique(np.linspace(0, len(part.shadows) - 1, COMPARED).round().astype(int))
     return [part.shadows[i] for i in picks[::-1]]
 
 

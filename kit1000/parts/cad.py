@@ -18,7 +18,7 @@ import numpy as np
 from manifold3d import CrossSection, Error, FillRule, JoinType, Manifold, Mesh64, OpType, triangulate
 from numpy.typing import ArrayLike, NDArray
 
-from kit1000.numerics.linear_algebra import length, matmul
+from kit1000.numerics.linear_algebra import matmul
 from kit1000.numerics.trigonometry import cosine, sine, tangent
 from kit1000.symmetry import Symmetry
 
@@ -36,8 +36,6 @@ PRESSURE_ANGLE_DEG = 20.0
 
 REACH_MM = 200.0
 """Length of a cutting tool: longer than any part."""
-ROUND_STEPS = 5
-"""Layers of a rounded rim: enough to look round, and few faces."""
 
 # Euler angles that rotate a z-up solid along an axis. Seen from the tip of the axis its x stays to the right and, for
 # the four level axes, its y points up.
@@ -204,28 +202,27 @@ def prism(
     chamfer: float = 0.0,
     chamfer_top: float | None = None,
     chamfer_bottom: float | None = None,
-    fillet_top: float = 0.0,
 ) -> Manifold:
-    """The profile extruded up from z = 0, its rims (those of holes too) chamfered at 45 degrees or the top one rounded.
+    """The profile extruded up from z = 0, its rims (those of holes too) chamfered at 45 degrees.
 
     A chamfer too large for the profile (a narrow wall, a tight corner radius) is reduced until it fits.
     """
     top = chamfer if chamfer_top is None else chamfer_top
     bottom = chamfer if chamfer_bottom is None else chamfer_bottom
-    if max(top, bottom, fillet_top) <= 0:
+    if max(top, bottom) <= 0:
         return profile.extrude(height)
     contours = profile.simplify(1e-4).to_polygons()
     bottom = _feasible_inset(contours, min(bottom, 0.45 * height))
-    top = _feasible_inset(contours, min(max(top, fillet_top), 0.45 * height))
+    top = _feasible_inset(contours, min(top, 0.45 * height))
     layers = [(0.0, bottom), (bottom, 0.0)] if bottom > 0 else [(0.0, 0.0)]
-    layers += _top_rim(height, top, round_rim=fillet_top > 0)
+    layers += [(height - top, 0.0), (height, top)] if top > 0 else [(height, 0.0)]
     return _lofted([_inset(contours, inset) for _, inset in layers], [z for z, _ in layers])
 
 
-def revolved(points: ArrayLike, sweep_deg: float = 360.0) -> Manifold:
+def revolved(points: ArrayLike) -> Manifold:
     """The solid of revolution of a closed loop of points (n, 2) as (radius, z) about the z axis."""
     loop = np.asarray(points, dtype=np.float64)
-    return polygon(loop).revolve(circle_segments(float(loop[:, 0].max())), sweep_deg)
+    return polygon(loop).revolve(circle_segments(float(loop[:, 0].max())))
 
 
 def box(x: float, y: float, z: float, chamfer: float = 0.0, radius: float = 0.0) -> Manifold:
@@ -248,47 +245,9 @@ def cone(d_bottom: float, d_top: float, h: float) -> Manifold:
     return Manifold.cylinder(h, d_bottom / 2, d_top / 2, circle_segments(max(d_bottom, d_top) / 2))
 
 
-def sphere(d: float) -> Manifold:
-    """A ball of diameter d about the origin, a true solid of revolution about z."""
-    latitudes = np.deg2rad(np.linspace(-90, 90, circle_segments(d / 2) // 4 + 1))
-    half = d / 2 * np.column_stack([np.maximum(cosine(latitudes), 0), sine(latitudes)])
-    return revolved(half)
-
-
-def wedge(x: float, y: float, z: float, top_x: float = 0.0) -> Manifold:
-    """A ramp: x long at the foot, `top_x` at the top (0 = a sharp edge), its upright face at x = -x/2, y wide."""
-    side = [(-x / 2, 0), (x / 2, 0), (top_x - x / 2, z), (-x / 2, z)]
-    return at(along(prism(polygon(side), y), "-y"), y=y / 2)
-
-
 def gusset(x: float, z: float, thickness: float) -> Manifold:
     """A triangular stiffening rib in the xz plane: its right angle at the origin, legs along +x and +z."""
     return at(along(prism(polygon([(0, 0), (x, 0), (0, z)]), thickness), "-y"), y=thickness / 2)
-
-
-def swept(profile: CrossSection, path: ArrayLike) -> Manifold:
-    """The profile swept along an open path of points (n, 3) without twist, mitred at each point.
-
-    The profile's origin follows the path; bends must be wider than the profile.
-    """
-    points = np.asarray(path, dtype=np.float64)
-    contours = profile.simplify(1e-4).to_polygons()
-    steps = np.diff(points, axis=0)
-    steps /= np.linalg.norm(steps, axis=1, keepdims=True)
-    right = np.cross(steps[0], np.eye(3)[int(np.argmin(np.abs(steps[0])))])
-    right /= length(right)
-    rings = []
-    for index, point in enumerate(points):
-        before, after = steps[max(index - 1, 0)], steps[min(index, len(steps) - 1)]
-        up = np.cross(before, right)
-        plane = before + after  # normal of the mitre plane
-        ring_points = matmul(np.vstack(contours), np.stack([right, up]))  # (n, 3), square to the step before
-        ring_points -= np.outer(matmul(ring_points, plane) / matmul(before, plane), before)
-        rings.append(point + ring_points)
-        right = right - 2 * matmul(plane, right) / matmul(plane, plane) * plane  # reflect twice: no twist
-        right = right - 2 * matmul(after, right) * after
-        right /= length(right)
-    return _skinned(rings, contours, contours)
 
 
 def hull(*solids: Manifold) -> Manifold:
@@ -324,11 +283,6 @@ def mirrored(solid: Manifold, axis: Literal["x", "y", "z"]) -> Manifold:
     """The mirror image in the plane through the origin perpendicular to `axis`."""
     x, y, z = (1.0 if name == axis else 0.0 for name in "xyz")
     return solid.mirror((x, y, z))
-
-
-def repeated(solid: Manifold, n: int) -> Manifold:
-    """n copies evenly about the z axis, joined."""
-    return join(*(rotated(solid, "z", 360 * k / n) for k in range(n)))
 
 
 # --- cutting ----------------------------------------------------------------------------------------------------
@@ -374,27 +328,6 @@ def pocket(
     return solid - along(tool, axis).translate((at[0], at[1], at[2]))
 
 
-def cut_slot(
-    solid: Manifold,
-    length: float,
-    width: float,
-    at: Sequence[float] = (0.0, 0.0, 0.0),
-    axis: Axis = "z",
-    depth: float | None = None,
-    angle_deg: float = 0.0,
-) -> Manifold:
-    """A stadium-shaped slot, `length` overall, along the profile's x rotated by `angle_deg`; through unless `depth`."""
-    return pocket(solid, slot(length, width).rotate(angle_deg), depth, at, axis)
-
-
-def keyway(
-    shaft: Manifold, d: float, width: float, depth: float, start: float, length: float, round_ends: bool = True
-) -> Manifold:
-    """A key seat milled from +x into an upright shaft of diameter d, from z = start to start + length."""
-    seat = slot(length, width) if round_ends else rectangle(length, width)
-    return pocket(shaft, seat.rotate(90), depth, (d / 2, 0, start + length / 2), "x")
-
-
 # --- implementation ----------------------------------------------------------------------------------------------
 
 
@@ -411,16 +344,6 @@ def _drill_tool(d: float, depth: float | None, countersink: float, counterbore: 
         seat = Manifold.cylinder(counterbore[1] + REACH_MM, radius, radius, circle_segments(radius))
         tools.append(seat.translate((0, 0, -counterbore[1])))
     return reduce(lambda a, b: a + b, tools)
-
-
-def _top_rim(height: float, size: float, round_rim: bool) -> list[tuple[float, float]]:
-    """(z, inset) of the layers at the top of a prism."""
-    if size <= 0:
-        return [(height, 0.0)]
-    if not round_rim:
-        return [(height - size, 0.0), (height, size)]
-    angles = np.linspace(0, np.pi / 2, ROUND_STEPS)
-    return [(float(height - size + size * sine(a)), float(size * (1 - cosine(a)))) for a in angles]
 
 
 def _inset(contours: list[NDArray], distance: float) -> list[NDArray]:
@@ -467,13 +390,8 @@ def _lofted(layers: list[list[NDArray]], heights: list[float]) -> Manifold:
         np.column_stack([np.vstack(contours), np.full(sum(map(len, contours)), z)])
         for contours, z in zip(layers, heights, strict=True)
     ]
-    return _skinned(rings, layers[0], layers[-1])
-
-
-def _skinned(rings: list[NDArray], first: list[NDArray], last: list[NDArray]) -> Manifold:
-    """A solid through rings of points (n, 3); `first` and `last` are the flat contours that close its ends."""
     n = len(rings[0])
-    start = np.cumsum([0, *map(len, first)])
+    start = np.cumsum([0, *map(len, layers[0])])
     next_corner = np.concatenate([np.roll(np.arange(a, b), -1) for a, b in pairwise(start)])
     here = np.arange(n)
     wall = np.concatenate(
@@ -483,8 +401,8 @@ def _skinned(rings: list[NDArray], first: list[NDArray], last: list[NDArray]) ->
         ]
     )
     walls = [wall + k * n for k in range(len(rings) - 1)]
-    bottom = np.asarray(triangulate(first))[:, ::-1]
-    top = np.asarray(triangulate(last)) + (len(rings) - 1) * n
+    bottom = np.asarray(triangulate(layers[0]))[:, ::-1]
+    top = np.asarray(triangulate(layers[-1])) + (len(rings) - 1) * n
     faces = np.concatenate([bottom, *walls, top])
     solid = Manifold(Mesh64(np.vstack(rings), faces.astype(np.uint64)))
     if solid.status() != Error.NoError:

@@ -229,20 +229,11 @@ def _between(ends: tuple[float, float], share: float) -> float:
     return ends[0] + (ends[1] - ends[0]) * share
 
 
-def measured_view(
-    sensor: Sensor,
-    view: View,
-    conditions: Conditions,
-    rng: np.random.Generator,
-    noise: np.ndarray | None = None,
-) -> View:
-    """What a sensor measures of an ideal view under some conditions, as by `sense`.
-
-    noise: (H, W) [px] of disparity, such as a real image's; replaces drawn noise and bending.
-    """
+def measured_view(sensor: Sensor, view: View, conditions: Conditions, rng: np.random.Generator) -> View:
+    """What a sensor measures of an ideal view under some conditions, as by `sense`."""
     scale = np.float32(1 + sensor.scale_error * rng.uniform(-1, 1))
     recorded = _recorded_pose(sensor, view.world_from_camera, rng)
-    depth = scale * _measured_depth(sensor, view, conditions, rng, noise)
+    depth = scale * _measured_depth(sensor, view, conditions, rng)
     depth[(depth < sensor.min_depth) | (depth > sensor.max_depth)] = 0
     return View(view.camera, recorded, on_depth_grid(depth))
 
@@ -265,14 +256,11 @@ def _recorded_pose(sensor: Sensor, world_from_camera: Pose, rng: np.random.Gener
     return world_from_camera @ Pose.from_rotvec(rotvec, sensor.position_error * shift)
 
 
-def _measured_depth(
-    sensor: Sensor, view: View, conditions: Conditions, rng: np.random.Generator, noise: np.ndarray | None
-) -> np.ndarray:
-    """Depths (H, W) float32 [m] from disparities with the given noise (H, W) [px] or drawn one; 0 for no return."""
+def _measured_depth(sensor: Sensor, view: View, conditions: Conditions, rng: np.random.Generator) -> np.ndarray:
+    """Depths (H, W) float32 [m] from disparities with noise; 0 for no return."""
     if sensor.baseline == 0:
         return view.depth
-    camera, drawn = view.camera, _noise(sensor, view.depth.shape, conditions, rng)
-    noise = drawn if noise is None else noise.astype(np.float32)
+    camera, noise = view.camera, _noise(sensor, view.depth.shape, conditions, rng)
     gain = np.float32(camera.fx * sensor.baseline)  # [px m] disparity x depth
     patches = [smooth_field(rng, _coarse(view.depth.shape, COARSE), PATCH) for _ in range(4)]
     along = [smooth_field(rng, _coarse(view.depth.shape, SMOOTH), ALONG) for _ in range(2)]

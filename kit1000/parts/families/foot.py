@@ -107,6 +107,6 @@ class Foot:
         if self.slotted and self.form != "corner":
             for x, y in spots:
                 place = (x - 0.5 * self.bolt * np.sign(x), y, self.sole)
-                foot = cad.cut_slot(foot, 2.2 * self.bolt, self.bolt, place)
+                foot = cad.pocket(foot, cad.slot(2.2 * self.bolt, self.bolt), None, place)
             return foot
         return cad.drill(foot, self.bolt, [(x, y, self.sole) for x, y in spots], countersink=1.8 * self.bolt)

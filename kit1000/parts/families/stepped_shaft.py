@@ -68,8 +68,10 @@ class SteppedShaft:
     def solid(self) -> Manifold:
         body = cad.join(cad.revolved(self._journals()), self._collar())
         if self.key > 0:
-            start = self.lower_length + self.collar_width + 1
-            body = cad.keyway(body, self.upper, self.key, 0.5 * self.key, start, 0.7 * self.upper_length)
+            length = 0.7 * self.upper_length
+            middle = self.lower_length + self.collar_width + 1 + length / 2
+            seat = cad.slot(length, self.key).rotate(90)
+            body = cad.pocket(body, seat, 0.5 * self.key, (self.upper / 2, 0, middle), "x")
         return cad.drill(body, self.bore) if self.bore > 0 else body
 
     def symmetry(self) -> Symmetry:
