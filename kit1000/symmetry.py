@@ -161,15 +161,6 @@ class Symmetry:
         return Symmetry, (self.rotations, self.axis)
 
 
-none = Symmetry.none
-cyclic = Symmetry.cyclic
-dihedral = Symmetry.dihedral
-free = Symmetry.free
-free_flipped = Symmetry.free_flipped
-generated = Symmetry.generated
-cube = Symmetry.cube
-
-
 def _residual(q: np.ndarray, axis: np.ndarray | None) -> np.ndarray:
     """Angle of rotations, after the best rotation about the axis if there is one. (..., 4) -> (...,) [rad]."""
     w, v = q[..., 0], q[..., 1:]

@@ -25,7 +25,6 @@ from tests.samples.strategies import (
     pose_batches,
     poses,
     quaternions,
-    rotvecs,
     small_angles,
     vectors,
 )

@@ -23,7 +23,7 @@ class MakeKit:
     """Make a kit for your own part at true size: kit.stl, part.stl, seated.glb, report.json, preview.png."""
 
     parts: Annotated[Positional[tuple[Path, ...]], arg(metavar="PART [PART ...]")]
-    """Mesh files: STL, OBJ, PLY, OFF, 3MF, GLB (and STEP with `pip install kit1000[step]`)."""
+    """Mesh files: STL, OBJ, PLY, 3MF, GLB (and STEP with `pip install kit1000[step]`)."""
     out: Path
     """Folder to write to, new or of an earlier run; for several files it gets a folder for each."""
     clearance_mm: float = 2.5

@@ -14,7 +14,7 @@ import numpy as np
 
 from kit1000.errors import InputError, MeshRefused
 from kit1000.mesh import Mesh, y_up, z_up
-from kit1000.parts.files.gltf import gltf_bodies
+from kit1000.parts.files.gltf import glb_bodies
 from kit1000.parts.files.stl import FACET
 
 GLTF_BINARY, JSON_CHUNK, BINARY_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
@@ -109,7 +109,7 @@ def read_glb(path: Path) -> dict[str, Mesh]:
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror}") from None
     try:
-        bodies = gltf_bodies(data, MAX_FACES)
+        bodies = glb_bodies(data, MAX_FACES)
         return {body.name: Mesh(z_up(body.vertices), body.faces) for body in bodies}
     except MeshRefused as refused:
         raise InputError(f"cannot read {path}: {refused.reason}") from None

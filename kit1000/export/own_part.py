@@ -183,20 +183,23 @@ def _best_attempt(part: Part, clearance: float, place: str) -> Attempt:
     InexactKit if none is exact.
     """
     faults: list[Kit1000Error] = []
+    failing: Attempt | None = None
     reason = ""
-    for only_passing in (True, False):
-        try:
-            for attempt in attempts(part, clearance, None, only_passing):
-                reason = reason or attempt.refusal or ""
-                if attempt.design is None or (only_passing and attempt.refusal is not None):
-                    continue
-                fault = _fault_of(attempt.design, attempt.refusal, place)
-                if fault is None:
-                    return attempt
-                faults += [] if only_passing else [fault]
-        except Redraw as refusal:
-            reason = refusal.reason
-    raise next(iter(faults), InputError(f"{place}: no kit: {reason}"))
+    try:
+        for attempt in attempts(part, clearance, None):
+            reason = reason or attempt.refusal or ""
+            fault = None if attempt.design is None else _fault_of(attempt.design, attempt.refusal, place)
+            if fault is not None:
+                faults.append(fault)
+            elif attempt.passed:
+                return attempt
+            elif attempt.design is not None:
+                failing = failing or attempt
+    except Redraw as refusal:
+        reason = refusal.reason
+    if failing is None:
+        raise next(iter(faults), InputError(f"{place}: no kit: {reason}"))
+    return failing
 
 
 def _fault_of(design: KitDesign, refusal: str | None, place: str) -> Kit1000Error | None:

@@ -34,7 +34,6 @@ from kit1000.values import Kit, Part
 
 INDEX, PLAN = "dataset.json", "plan.json"
 SAME_BYTES = ("x86_64", "AMD64")  # processors that give the same content
-SERIES = "3.5"  # of manifold3d, which made the datasets that do not state their libraries
 
 
 @dataclass(frozen=True)
@@ -73,15 +72,12 @@ def verify(root: Path, sample: int = 0) -> VerifyReport:
     if differences and others:  # the files are intact, and another library may well make other triangles
         notes += [*differences, f"these are no faults: the dataset was made otherwise ({'; '.join(others)})"]
         differences = []
-    elif differences and MADE_WITH not in summary:
-        here = library_versions()["manifold3d"]
-        notes.append(f"{INDEX} states no library versions: another manifold3d than {here} may explain the differences")
     return VerifyReport(count, tuple(scenes), (*faults, *differences), tuple(notes))
 
 
 def version_differences(summary: Mapping[str, Any]) -> list[str]:
     """What is of another version here than where a dataset was made: "numpy 2.2.0, here 2.4.6"."""
-    recorded, here = summary.get(MADE_WITH, {"manifold3d": SERIES}), library_versions()
+    recorded, here = summary.get(MADE_WITH, {}), library_versions()
     pairs = [(name, recorded[name], here[name]) for name in LIBRARIES if name in recorded]
     pairs += [] if platform.machine() in SAME_BYTES else [("processor", "x86-64", platform.machine())]
     return [f"{name} {before}, here {now}" for name, before, now in pairs if not f"{now}.".startswith(f"{before}.")]

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from kit1000.errors import Redraw
-from kit1000.kits.early_refusal import sure_refusal
+from kit1000.kits.face import RestingFace
 from kit1000.kits.goals import is_goal
-from kit1000.kits.kit import CLEARANCE, UNIT_PLATE, KitDesign, Plate, SlotDesign, cut_kit, design_slot, insertion_faces
+from kit1000.kits.kit import CLEARANCE, UNIT_PLATE, KitDesign, Plate, cut_kit, design_slot, insertion_faces
 from kit1000.kits.loose_fits import accepts_most_parts, find_loose_fit, turns_freely
 from kit1000.kits.prepared import PreparedKit, PreparedPart
 from kit1000.kits.seating import (
@@ -28,7 +28,6 @@ from kit1000.kits.seating import (
     seating_result,
     wrong_poses,
 )
-from kit1000.parts.family import FILE
 from kit1000.pose import Pose
 from kit1000.values import Part, Slot
 
@@ -59,8 +58,6 @@ class Attempt:
     """None if a trial fails."""
     refusal: str | None
     """Why the kit is refused; None if it passes all trials."""
-    early: bool = False
-    """Whether the kit was refused before it was designed."""
 
     @property
     def passed(self) -> tuple[KitDesign, PairCheck] | None:
@@ -73,42 +70,33 @@ def accepted_kit(part: Part, clearance: float = CLEARANCE, plate: Plate = UNIT_P
 
     Raises Redraw with the reason of the first face if none passes.
     """
-    tried = []
+    reasons = []
     for attempt in attempts(part, clearance, plate):
-        tried.append(attempt)
         if attempt.passed:
             return attempt.passed
-    first = tried[0]
-    if first.early and part.family != FILE:  # an earlier trial may refuse it for another reason
-        first = next(attempts(part, clearance, plate, early_refusal=False))
-    if first.passed:
-        return first.passed
-    raise Redraw(str(first.refusal))
+        reasons.append(attempt.refusal)
+    raise Redraw(str(reasons[0]))
 
 
-def attempts(part: Part, clearance: float, plate: Plate | None, early_refusal: bool = True) -> Iterator[Attempt]:
+def attempts(part: Part, clearance: float, plate: Plate | None) -> Iterator[Attempt]:
     """The kit on each insertion face in turn, designed and tried when the iterator gets there.
 
-    plate: None for one fitted to the part.
-    early_refusal: the kit is not designed on faces where it surely fails a trial.
-
-    Raises Redraw if there is no insertion face.
+    plate: None for one fitted to the part. Raises Redraw if there is no insertion face.
     """
     prepared = PreparedPart(part.mesh, ANY_FACE)
     for face in insertion_faces(part, clearance, fitted_plate=plate is None):
-        design = design_slot(part, clearance, face, prepared.all_faces)
-        refusal = sure_refusal(prepared, design.slot) if early_refusal else None
-        yield _attempt(design, prepared, plate) if refusal is None else Attempt(None, None, refusal, early=True)
+        yield _attempt(part, clearance, plate, face, prepared)
 
 
-def _attempt(slot: SlotDesign, part: PreparedPart, plate: Plate | None) -> Attempt:
+def _attempt(part: Part, clearance: float, plate: Plate | None, face: RestingFace, prepared: PreparedPart) -> Attempt:
+    slot = design_slot(part, clearance, face, prepared.all_faces)
     design = trial = refusal = None
     try:
         design = cut_kit(slot, plate)
         kit = PreparedKit(design.kit)
         if plate is not None:
             _check_for_dataset(design, kit)
-        trial = check_pair(part, kit)
+        trial = check_pair(prepared, kit)
         if trial.has_loose_fit:
             raise Redraw("loose fit")
     except Redraw as error:

@@ -24,7 +24,7 @@ from kit1000.kits.contact import ContactFeatures, contact_features, vertical_con
 from kit1000.kits.face import RestingFace
 from kit1000.kits.goals import is_near_goal, near_goal_limits
 from kit1000.kits.height_fields import HeightField
-from kit1000.kits.prepared import PreparedKit, PreparedPart, RestingPart, height_limit, underside_points
+from kit1000.kits.prepared import PreparedKit, PreparedPart, RestingPart, underside_points
 from kit1000.kits.seating import BISECTION_STEP
 from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.numerics.compiled import compiled
@@ -62,9 +62,13 @@ LENGTH_SCALE = 1e9  # overlaps and heights are compared in whole nanometres
 
 def find_loose_fit(part: PreparedPart, kit: PreparedKit) -> Pose | None:
     """A kit_from_part pose that is near no goal and seats the part in its own slot, or None."""
-    goals, limit = kit.slot.goals.xyz[:, 2], kit.height_limit
-    for resting, lift in _faces_near_goals(part, kit.slot):
-        highest = float(goals.max()) + limit - (resting.origin_height - kit.slot.depth)
+    goals, depth, limit = kit.slot.goals.xyz[:, 2], kit.slot.depth, kit.height_limit
+    for resting in part.resting:
+        height = resting.origin_height - depth  # of the part, its lowest point on the floor
+        if np.abs(goals - height - limit / 2).min() > 1.5 * limit:
+            continue  # at no goal's height
+        highest = float(goals.max()) + limit - height
+        lift = min(max(highest, limit), MOST_LIFT * depth)
         for rotation, xyz, offset in _candidates(part.mesh, resting, kit, lift, highest, away_from_goals=True):
             if np.abs(xyz[2] + offset - goals).min() <= limit - BISECTION_STEP:
                 return Pose.from_rotation_matrix(rotation, xyz)
@@ -100,26 +104,9 @@ def accepts_most_parts(kit: PreparedKit) -> bool:
     return find_fit_in_other_slot(block, kit) is not None
 
 
-def poses_in_own_slot(part: PreparedPart, field: HeightField, slot: Slot) -> Iterator[Pose]:
-    """The kit_from_part poses that a height field of the part's own slot allows, its lowest point on the floor."""
-    for resting, lift in _faces_near_goals(part, slot):
-        for rotation, xyz in _poses_on_floor(resting, field, lift):
-            yield Pose.from_rotation_matrix(rotation, xyz)
-
-
 def turns_freely(slot: Slot) -> bool:
     """Whether a part is at a goal at every yaw: its free axis is the insertion axis."""
     return slot.free_axis is not None and bool(abs(slot.free_axis.direction[2]) > 0.5)
-
-
-def _faces_near_goals(part: PreparedPart, slot: Slot) -> Iterator[tuple[RestingPart, float]]:
-    """The part on each face on which it may be at goal height, and its greatest height above the floor there [m]."""
-    goals, limit = slot.goals.xyz[:, 2], height_limit(slot)
-    for resting in part.resting:
-        if np.abs(goals - (resting.origin_height - slot.depth) - limit / 2).min() > 1.5 * limit:
-            continue
-        lift = float(goals.max()) + limit - (resting.origin_height - slot.depth)
-        yield resting, min(max(lift, limit), MOST_LIFT * slot.depth)
 
 
 def _candidates(

@@ -16,7 +16,7 @@ from kit1000.kits.height_fields import HeightField, lower_envelope
 from kit1000.kits.seating import SEATED_LIMIT
 from kit1000.mesh import Mesh
 from kit1000.numerics.linear_algebra import matmul
-from kit1000.values import Kit, Slot
+from kit1000.values import Kit
 
 CELL = 0.5e-3  # [m] of the kit's height field
 FINE_CELL = 0.2e-3  # [m] of the field for the search just beyond the limits
@@ -85,12 +85,7 @@ class PreparedKit:
     @property
     def height_limit(self) -> float:
         """Height above the goal up to which a part counts as seated [m]."""
-        return height_limit(self.slot)
-
-
-def height_limit(slot: Slot) -> float:
-    """Height above the goal up to which a part counts as seated in a slot [m]."""
-    return min(SEATED_LIMIT, slot.depth / 3)
+        return min(SEATED_LIMIT, self.slot.depth / 3)
 
 
 def underside_points(mesh: Mesh, more: np.ndarray | None = None) -> np.ndarray:

@@ -128,10 +128,6 @@ class Volume:
         """(nx, ny, nz) float32, writable: the values, with `value` for unknown voxels (for networks)."""
         return np.where(np.isnan(self.values), np.float32(value), self.values)
 
-    def moved(self, pose: Pose) -> Volume:
-        """The same values on the grid moved in the world by a pose."""
-        return Volume.adopt(self.grid.moved(pose), self.values)
-
 
 def crop(volume: Volume, start: tuple[int, int, int], shape: tuple[int, int, int]) -> Volume:
     """The box of `shape` voxels from voxel `start`; unknown where it extends outside the volume."""

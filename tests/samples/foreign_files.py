@@ -80,7 +80,7 @@ def slic3r_config(*volumes: tuple[int, int, str]) -> dict[str, str]:
 
 
 class Gltf:
-    """A glTF file in the making: accessors with their bytes, then a GLB or a .gltf with a .bin."""
+    """A glTF file in the making: accessors with their bytes, then a GLB."""
 
     def __init__(self) -> None:
         self.blob = b""
@@ -106,20 +106,11 @@ class Gltf:
         self.json["meshes"] = [{"primitives": [{"attributes": {"POSITION": position}, "indices": indices, **more}]}]
 
     def glb(self, path: Path) -> Path:
-        self.json["buffers"] = [{"byteLength": len(self.blob)}]
+        self.json.setdefault("buffers", [{"byteLength": len(self.blob)}])
         text = json.dumps(self.json).encode()
         text += b" " * (-len(text) % 4)
         binary = self.blob + b"\0" * (-len(self.blob) % 4)
         chunks = len(text).to_bytes(4, "little") + b"JSON" + text
         chunks += len(binary).to_bytes(4, "little") + b"BIN\0" + binary
         path.write_bytes(b"glTF" + (2).to_bytes(4, "little") + (12 + len(chunks)).to_bytes(4, "little") + chunks)
-        return path
-
-    def gltf(self, path: Path, address: str, file: str | None) -> Path:
-        """The .gltf, whose data lie under an address, and its file of that name unless that is missing."""
-        self.json["buffers"] = [{"byteLength": len(self.blob), "uri": address}]
-        path.write_text(json.dumps(self.json))
-        if file is not None:
-            (path.parent / file).parent.mkdir(parents=True, exist_ok=True)
-            (path.parent / file).write_bytes(self.blob)
         return path

@@ -1,28 +1,25 @@
-"""Reading glTF 2.0 files: trimesh reads them, after everything that it would read wrong has been refused by name.
+"""Reading GLB files: trimesh reads them, after everything that it would read wrong has been refused by name.
 
-trimesh reads positions as they are stored, without the sparse, normalized, morphed or compressed ones of the standard.
+A GLB is glTF 2.0 in one file. trimesh reads positions as they are stored, without the sparse, normalized, morphed or
+compressed ones of the standard.
 """
 
 from __future__ import annotations
 
 import io
 import json
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
-from urllib.parse import unquote
 
 import numpy as np
 
 from kit1000.errors import MeshRefused, shown
 from kit1000.numerics.linear_algebra import determinant, matmul
-from kit1000.parts.files.file_text import BYTE_ORDER_MARK, check_foreign, check_narrow
+from kit1000.parts.files.file_text import check_foreign
 from kit1000.parts.files.triangles import check_indices, float32_step
 
 MAGIC = b"glTF"
-MAX_BUFFER = 1_500_000_000  # [bytes]
 FLOAT = 5126
 TRIANGLES, STRIP, FAN = 4, 5, 6  # modes of primitives that have triangles
 SHAPES = {
@@ -41,7 +38,7 @@ SHAPELESS += ("KHR_mesh_quantization",)  # quantized positions are refused by th
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A placed mesh of a glTF file."""
+    """A placed mesh of a GLB file."""
 
     name: str
     vertices: np.ndarray
@@ -52,10 +49,10 @@ class Body:
     """Distance between two coordinates that the file can tell apart. [m]"""
 
 
-def gltf_bodies(data: bytes, max_faces: int, folder: Path | None = None) -> list[Body]:
-    """The bodies of a .glb or .gltf file in the order of its meshes, with at most `max_faces` triangles.
+def glb_bodies(data: bytes, max_faces: int) -> list[Body]:
+    """The bodies of a GLB file in the order of its meshes, with at most `max_faces` triangles.
 
-    folder: holds the further files that a .gltf names. A damaged file may raise any exception.
+    A damaged file may raise any exception.
     """
     check_foreign(data)
     text = _json_text(data)
@@ -65,10 +62,7 @@ def gltf_bodies(data: bytes, max_faces: int, folder: Path | None = None) -> list
     _check_nodes(tree, max_faces)
     import trimesh  # only here: its import takes longer than reading most files
 
-    kind = "glb" if data[:4] == MAGIC else "gltf"
-    stream = io.BytesIO(data.removeprefix(BYTE_ORDER_MARK))
-    beside: Any = _FilesBeside(folder)
-    scene: Any = trimesh.load_scene(stream, file_type=kind, resolver=beside, process=False)
+    scene: Any = trimesh.load_scene(io.BytesIO(data), file_type="glb", process=False)
     order = {name: number for number, name in enumerate(scene.geometry)}
     nodes = [(scene.graph[node], node) for node in scene.graph.nodes_geometry]
     nodes.sort(key=lambda row: (order[row[0][1]], row[1]))
@@ -93,15 +87,14 @@ def _placed(mesh: Any, name: str, matrix: np.ndarray) -> Body:
 
 def _json_text(data: bytes) -> bytes:
     """The JSON part of a file."""
-    if data[:4] == MAGIC:
-        version, length, size = (int.from_bytes(data[k : k + 4], "little") for k in (4, 8, 12))
-        if version != 2:
-            raise MeshRefused(f"GLB of version {version}, expected 2: export it again as glTF 2.0")
-        if len(data) < length or data[16:20] != b"JSON":
-            raise MeshRefused(f"not readable as GLB: cut short or damaged, {len(data):,} of {length:,} bytes")
-        return data[20 : 20 + size]
-    check_narrow(data)
-    return data.removeprefix(BYTE_ORDER_MARK)
+    if data[:4] != MAGIC:
+        raise MeshRefused("not readable as GLB: its first bytes are not glTF")
+    version, length, size = (int.from_bytes(data[k : k + 4], "little") for k in (4, 8, 12))
+    if version != 2:
+        raise MeshRefused(f"GLB of version {version}, expected 2: export it again as glTF 2.0")
+    if len(data) < length or data[16:20] != b"JSON":
+        raise MeshRefused(f"not readable as GLB: cut short or damaged, {len(data):,} of {length:,} bytes")
+    return data[20 : 20 + size]
 
 
 def _tree(text: bytes) -> dict[str, Any]:
@@ -114,6 +107,8 @@ def _tree(text: bytes) -> dict[str, Any]:
     stated = str(tree.get("asset", {}).get("version", "2.0"))
     if not stated.startswith("2."):
         raise MeshRefused(f"glTF of version {stated[:20]}, expected 2.0: export it again")
+    if any("uri" in buffer for buffer in tree.get("buffers", [])):
+        raise MeshRefused("its data are in further files, which are not read: export it as one GLB file")
     return tree
 
 
@@ -174,30 +169,3 @@ def _face_counts(tree: dict[str, Any], mesh: dict[str, Any]) -> Iterator[int]:
             accessor = primitive.get("indices", primitive["attributes"]["POSITION"])
             count = tree["accessors"][accessor]["count"]
             yield count // 3 if mode == TRIANGLES else max(count - 2, 0)
-
-
-class _FilesBeside:
-    """The further files of a .gltf, by the address that it states: percent-encoded, or as it is."""
-
-    def __init__(self, folder: Path | None) -> None:
-        self.folder = folder
-
-    def __getitem__(self, address: str) -> bytes:
-        if self.folder is None or re.match(r"[a-zA-Z][a-zA-Z0-9+.-]*:|//", address):
-            raise MeshRefused(f"its data lie at {shown(address[:80])}: download that file and name it beside this one")
-        name = shown(unquote(address)[:80])
-        plain = unquote(re.split(r"[?#]", address)[0])
-        places = [self.folder / text for text in (unquote(address), address, plain, plain.replace("\\", "/"))]
-        path = next((path for path in places if path.is_file()), None)
-        if path is None:
-            raise MeshRefused(f"its data are in {name}, which is missing: put that file beside it")
-        if path.stat().st_size > MAX_BUFFER:
-            raise MeshRefused(f"its data in {name} have more than {MAX_BUFFER / 1e9:.1f} GB")
-        data = path.read_bytes()
-        try:
-            check_foreign(data)
-        except MeshRefused as refused:
-            raise MeshRefused(f"its data in {name} are {refused.reason}") from None
-        return data
-
-    get = __getitem__

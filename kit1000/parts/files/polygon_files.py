@@ -1,9 +1,8 @@
-"""Reading OBJ, OFF and PLY files: faces with any number of corners, concave ones too."""
+"""Reading OBJ and PLY files: faces with any number of corners, concave ones too."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,8 +19,6 @@ from kit1000.parts.files.triangles import (
 )
 
 OBJ_CURVES = (b"surf", b"bmat", b"cstype", b"curv")
-OFF_HEADER = re.compile(rb"\s*(?:ST)?C?N?(4?n?)OFF\b[ \t]*(BINARY)?|\s*(?:ST)?C?N?OFF(?=\d)", re.IGNORECASE)
-COMMENT = re.compile(rb"#[^\n]*")
 PLY_TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"}
 PLY_TYPES |= {"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"}
 PLY_TYPES |= {"float": "f4", "double": "f8", "float32": "f4", "float64": "f8", "int64": "i8", "uint64": "u8"}
@@ -46,59 +43,21 @@ def read_obj(data: bytes) -> TriangleSoup:
             points += words[1:4]
             count += 1
         elif key in (b"f", b"fo"):
-            corners = _whole([word.partition(b"/")[0] for word in words[1:]], line, "OBJ")
+            try:
+                corners = [int(word.partition(b"/")[0]) for word in words[1:]]
+            except ValueError:
+                raise MeshRefused(f"not readable as OBJ: in {_shown(line)} a number is not whole") from None
             polygons.append([i + count if i < 0 else i - 1 for i in corners])
         elif key in OBJ_CURVES:
             raise MeshRefused("holds curved surfaces (cstype, surf), which are not read: export it as polygons")
-    return _soup_of_text(numbers(points, text, "OBJ").reshape(-1, 3), polygons, "OBJ")
-
-
-def read_off(data: bytes) -> TriangleSoup:
-    """The faces of an OFF file with a line for each vertex and face; colours, normals and textures are ignored."""
-    text = COMMENT.sub(b"", plain_text(data))
-    header = OFF_HEADER.match(text)
-    if header and (header[1] or header[2]):
-        raise MeshRefused("not readable as OFF: binary or not of three dimensions; save it as plain OFF")
-    lines = [line for line in text[header.end() if header else 0 :].split(b"\n") if line.strip()]
-    counts = lines[0].split() if lines else []
-    if len(counts) not in (2, 3):
-        raise MeshRefused("not readable as OFF: its first line has no numbers of vertices and faces")
-    n, m = _whole(counts, lines[0], "OFF")[:2]
-    if min(n, m) < 0 or n + m != len(lines) - 1:
-        what = f"{n:,} vertices and {m:,} faces in {len(lines) - 1:,} lines"
-        raise MeshRefused(f"not readable as OFF: {what}, expected a line for each: cut short, or save it again")
-    points: list[bytes] = []
-    for line in lines[1 : n + 1]:
-        words = line.split()
-        if len(words) < 3:
-            raise MeshRefused(f"not readable as OFF: vertex {_shown(line)} has fewer than 3 coordinates")
-        points += words[:3]
-    polygons = []
-    for line in lines[n + 1 :]:
-        words = line.split()
-        size = _whole(words[:1], line, "OFF")[0]
-        if not 0 <= size < len(words):
-            raise MeshRefused(f"not readable as OFF: face {_shown(line)} has fewer corners than it says")
-        polygons.append(_whole(words[1 : size + 1], line, "OFF"))
-    return _soup_of_text(numbers(points, text, "OFF").reshape(-1, 3), polygons, "OFF")
-
-
-def _whole(words: Sequence[bytes], line: bytes, kind: str) -> list[int]:
-    """Words as whole numbers."""
-    try:
-        return [int(word) for word in words]
-    except ValueError:
-        raise MeshRefused(f"not readable as {kind}: in {_shown(line)} a number is not whole") from None
+    vertices = numbers(points, text, "OBJ").reshape(-1, 3)
+    check_indices(np.array([i for row in polygons for i in row], dtype=np.int64), len(vertices), "OBJ")
+    return TriangleSoup(vertices, polygons_as_triangles(vertices, polygons), step=decimal_step(vertices))
 
 
 def _shown(line: bytes) -> str:
     """A line in a message."""
     return repr(shown(line.strip()[:40].decode("utf-8", "replace")))
-
-
-def _soup_of_text(vertices: np.ndarray, polygons: list[list[int]], kind: str) -> TriangleSoup:
-    check_indices(np.array([i for row in polygons for i in row], dtype=np.int64), len(vertices), kind)
-    return TriangleSoup(vertices, polygons_as_triangles(vertices, polygons), step=decimal_step(vertices))
 
 
 @dataclass(frozen=True)

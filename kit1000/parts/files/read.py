@@ -18,21 +18,19 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
-from manifold3d import Manifold
 
 from kit1000.errors import InputError, MeshRefused
 from kit1000.mesh import Mesh, z_up
 from kit1000.parts.files.file_text import BYTE_ORDER_MARK, check_foreign
-from kit1000.parts.files.gltf import gltf_bodies
+from kit1000.parts.files.gltf import glb_bodies
 from kit1000.parts.files.part_mesh import Choice, part_mesh
-from kit1000.parts.files.polygon_files import read_obj, read_off, read_ply
+from kit1000.parts.files.polygon_files import read_obj, read_ply
 from kit1000.parts.files.repair import closed_solid
 from kit1000.parts.files.stl import read_stl
 from kit1000.parts.files.triangles import TriangleSoup, joined
 
 STEP_SUFFIXES = (".step", ".stp")
-GLTF_SUFFIXES = (".glb", ".gltf")
-MESH_SUFFIXES = (".stl", ".obj", ".ply", ".off", ".3mf", *GLTF_SUFFIXES, *STEP_SUFFIXES)
+MESH_SUFFIXES = (".stl", ".obj", ".ply", ".3mf", ".glb", *STEP_SUFFIXES)
 MAX_FACES = 5_000_000
 MAX_BYTES = 1_500_000_000  # an ASCII STL of 5 million faces; also the limit of what a 3MF may unpack to
 USER_UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "inch": 0.0254}  # [m] that a user can give
@@ -67,7 +65,7 @@ def read_mesh(path: str | Path, unit: str | None = None, choice: Choice | None =
     """Read one mesh file as a part.
 
     Args:
-        path: STL, OBJ, PLY, OFF, 3MF, GLB or GLTF; STEP if its optional reader is installed.
+        path: STL, OBJ, PLY, 3MF or GLB; STEP if its optional reader is installed.
         unit: "mm", "cm", "m" or "inch"; None: the one stated in the file, else guessed from its size.
         choice: which of several bodies is the part. "union": all as one, which must touch or overlap; "largest"; None:
             the one with nearly all of the volume.
@@ -77,8 +75,24 @@ def read_mesh(path: str | Path, unit: str | None = None, choice: Choice | None =
         MeshRefused: the file cannot be a part; one line says why.
         InputError: the unit is unknown.
     """
-    solid = _read_solid(Path(path), unit)
-    return solid.reading(part_mesh(solid.solid, solid.notes, choice), solid.notes)
+    path = Path(path)
+    if unit is not None and unit not in USER_UNITS:
+        raise InputError(f"unit {unit!r}: expected one of {', '.join(USER_UNITS)}")
+    soup = read_triangles(path)
+    notes = list(soup.notes)
+    used = np.zeros(len(soup.vertices), dtype=bool)
+    used[soup.faces] = True
+    _check_finite(soup.vertices[used])
+    longest = float(np.ptp(soup.vertices[used], axis=0).max())
+    if unit is not None and path.suffix.lower() in STEP_SUFFIXES:  # its reader has converted already
+        notes.append(f"did not use the given unit {unit}: STEP states its own")
+        unit = None
+    chosen, guessed, reason = _unit(longest, unit, soup.unit)
+    metres = FILE_UNITS[chosen]
+    _check_size(longest * metres, chosen)
+    vertices = _moved_to_origin(soup.vertices * metres, used, notes)
+    mesh = part_mesh(closed_solid(vertices, soup.faces, notes), notes, choice)
+    return MeshReading(path, mesh, chosen, guessed, reason, tuple(notes), soup.step * metres)
 
 
 def read_triangles(path: Path) -> TriangleSoup:
@@ -87,7 +101,7 @@ def read_triangles(path: Path) -> TriangleSoup:
     if suffix not in MESH_SUFFIXES:
         raise MeshRefused(f"not a mesh format: {suffix or 'no suffix'}; known are {' '.join(MESH_SUFFIXES)}")
     try:
-        soup = _triangles(path, suffix, data)
+        soup = _triangles(suffix, data)
     except (MeshRefused, MemoryError):
         raise
     except Exception as error:  # a damaged file may break a reader in any way
@@ -129,51 +143,11 @@ def refusal_counts(reasons: Iterable[str]) -> str:
     return ", ".join(f"{count}x {kind}" for kind, count in ranked)
 
 
-@dataclass(frozen=True, eq=False)
-class _SolidReading:
-    """All that a file bounds, before its bodies are told apart; the other fields as in MeshReading."""
-
-    path: Path
-    solid: Manifold
-    """In metres."""
-    unit: str
-    unit_guessed: bool
-    unit_reason: str
-    notes: list[str]
-    step: float
-
-    def reading(self, mesh: Mesh, notes: list[str]) -> MeshReading:
-        """The reading of one body."""
-        stated = (self.unit, self.unit_guessed, self.unit_reason)
-        return MeshReading(self.path, mesh, *stated, tuple(notes), self.step)
-
-
-def _read_solid(path: Path, unit: str | None) -> _SolidReading:
-    if unit is not None and unit not in USER_UNITS:
-        raise InputError(f"unit {unit!r}: expected one of {', '.join(USER_UNITS)}")
-    soup = read_triangles(path)
-    notes = list(soup.notes)
-    used = np.zeros(len(soup.vertices), dtype=bool)
-    used[soup.faces] = True
-    _check_finite(soup.vertices[used])
-    longest = float(np.ptp(soup.vertices[used], axis=0).max())
-    given = unit
-    if unit is not None and path.suffix.lower() in STEP_SUFFIXES:  # its reader has converted already
-        given = None
-        notes.append(f"did not use the given unit {unit}: STEP states its own")
-    chosen, guessed, reason = _unit(longest, given, soup.unit)
-    metres = FILE_UNITS[chosen]
-    _check_size(longest * metres, chosen)
-    vertices = _moved_to_origin(soup.vertices * metres, used, notes)
-    solid = closed_solid(vertices, soup.faces, notes)
-    return _SolidReading(path, solid, chosen, guessed, reason, notes, soup.step * metres)
-
-
-def _triangles(path: Path, suffix: str, data: bytes) -> TriangleSoup:
+def _triangles(suffix: str, data: bytes) -> TriangleSoup:
     if suffix == ".stl":
         return read_stl(data, MAX_FACES)
-    if suffix in GLTF_SUFFIXES:
-        bodies = gltf_bodies(data, MAX_FACES, path.parent)
+    if suffix == ".glb":
+        bodies = glb_bodies(data, MAX_FACES)
         vertices, faces = joined([(body.vertices, body.faces) for body in bodies])
         return TriangleSoup(z_up(vertices), faces, "m", max((body.step for body in bodies), default=0.0))
     if suffix == ".3mf":
@@ -185,7 +159,7 @@ def _triangles(path: Path, suffix: str, data: bytes) -> TriangleSoup:
     check_foreign(data)
     if suffix in STEP_SUFFIXES:
         return _read_step(data, suffix)
-    return {".obj": read_obj, ".off": read_off, ".ply": read_ply}[suffix](data)
+    return read_obj(data) if suffix == ".obj" else read_ply(data)
 
 
 def _read_step(data: bytes, suffix: str) -> TriangleSoup:

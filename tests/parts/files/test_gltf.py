@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -25,10 +24,6 @@ def made(**more: Any) -> Gltf:
     gltf = Gltf()
     gltf.mesh(BOX, **more)
     return gltf
-
-
-def size_of(path: Path) -> list[float]:
-    return (read_mesh(path).mesh.extents * 1e3).tolist()
 
 
 def interleaved(gltf: Gltf) -> None:
@@ -146,6 +141,7 @@ REFUSED: list[tuple[Callable[[Gltf], Any], tuple[str, ...]]] = [
     (node(skin=0), ("bent by a skeleton", "before the export")),
     (morphed, ("morph targets", "before the export")),
     (below_a_camera, ("a camera", "export it without cameras")),
+    (lambda gltf: gltf.json.update(buffers=[{"byteLength": 8, "uri": "a.bin"}]), ("further files", "as one GLB file")),
     (without("scene", "scenes"), ("no scene",)),
     (node(children=[0]), ("two places",)),
     (node(mesh=7), ("not readable",)),
@@ -168,47 +164,3 @@ def test_what_is_not_read_is_refused_by_name(
         read_mesh(gltf.glb(tmp_path / "a.glb"))
     assert all(fact in caught.value.reason for fact in facts), caught.value.reason
     assert "\n" not in caught.value.reason
-
-
-@pytest.mark.parametrize(
-    ("address", "file"),
-    [
-        ("a%20part.bin", "a part.bin"),
-        ("a part.bin", "a part.bin"),
-        ("100%25.bin", "100%.bin"),
-        ("a%20b.bin", "a%20b.bin"),  # written as it is, against the standard
-        ("Geh%C3%A4use.bin", "Gehäuse.bin"),
-        ("data/x.bin", "data/x.bin"),
-        ("data%5Cx.bin", "data/x.bin"),  # of an exporter on Windows
-        ("a%20part.bin?version=2", "a part.bin"),
-    ],
-)
-def test_a_further_file_is_found_by_its_encoded_name(address: str, file: str, tmp_path: Path) -> None:
-    assert size_of(made().gltf(tmp_path / "a.gltf", address, file)) == pytest.approx(SIZE, abs=1e-4)
-
-
-def test_data_may_be_in_the_address_itself(tmp_path: Path) -> None:
-    gltf = made()
-    address = "data:application/octet-stream;base64," + base64.b64encode(gltf.blob).decode()
-    assert size_of(gltf.gltf(tmp_path / "a.gltf", address, None)) == pytest.approx(SIZE, abs=1e-4)
-
-
-@pytest.mark.parametrize(
-    ("address", "contents", "facts"),
-    [
-        ("part%20a.bin", None, ("part a.bin", "missing", "put that file beside it")),
-        ("https://example.org/a.bin", None, ("https://example.org/a.bin", "download")),
-        ("data:application/octet-stream;base64,???", None, ("not readable",)),
-        ("a.bin", b"\0" * 20, ("not readable",)),
-        ("a.bin", b"version https://git-lfs.github.com/spec/v1\n", ("its data in a.bin are", "Git LFS pointer")),
-    ],
-)
-def test_data_that_are_missing_are_named(
-    address: str, contents: bytes | None, facts: tuple[str, ...], tmp_path: Path
-) -> None:
-    path = made().gltf(tmp_path / "a.gltf", address, None)
-    if contents is not None:
-        (tmp_path / "a.bin").write_bytes(contents)
-    with pytest.raises(MeshRefused) as caught:
-        read_mesh(path)
-    assert all(fact in caught.value.reason for fact in facts), caught.value.reason

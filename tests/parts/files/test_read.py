@@ -63,11 +63,10 @@ REFUSED: dict[str, tuple[bytes, str]] = {  # name -> (bytes, fact)
     "infinite.obj": (TETRAHEDRON % b"1e400", "NaN or infinite vertices: 1 of 4"),
     "astronomic.obj": (TETRAHEDRON % b"1e300", "longest side 1e+297 m when read in mm"),
     "huge.ply": (PLY_HEADER, "4,000,000,000 elements declared in"),
-    "huge.off": (b"OFF\n4000000000 4000000000 0\n0 0 0\n", "4,000,000,000 vertices"),
     "text.ply": (b"hello", "no header"),
     "cut.glb": (exported(BOX, "glb")[:-200], "cut short"),
-    "noise.glb": (np.random.default_rng(2).bytes(3000), "its JSON part is damaged"),
-    "huge.gltf": (b'{"accessors": [{"count": 4000000000}]}', "accessor 0 is sparse or has no data"),
+    "noise.glb": (np.random.default_rng(2).bytes(3000), "its first bytes are not glTF"),
+    "part.off": (b"OFF\n3 1 0\n", "not a mesh format: .off; known are .stl"),
     "newer.3mf": (_needing_version(exported(BOX, "3mf"), 99), "needs a newer reader; save it again"),
     "noise.3mf": (np.random.default_rng(3).bytes(3000), "not a zip archive"),
     "part.sldprt": (b"proprietary", "not a mesh format: .sldprt"),
@@ -99,7 +98,7 @@ def test_a_file_that_cannot_be_a_part_is_refused_with_one_line(name: str, tmp_pa
 @given(
     st.integers(0, len(STL) - 1),
     st.none() | st.integers(0, 255),
-    st.sampled_from([".stl", ".ply", ".off", ".obj", ".glb"]),
+    st.sampled_from([".stl", ".ply", ".obj", ".glb"]),
 )
 @example(99, 127, ".stl")  # a signalling NaN
 @settings(max_examples=150)
@@ -125,7 +124,7 @@ def test_memory_does_not_depend_on_the_declared_count(tmp_path: Path) -> None:
 
 def test_too_many_triangles_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(read, "MAX_FACES", 11)
-    for suffix in ("stl", "stl_ascii", "obj", "ply", "off", "glb", "3mf"):
+    for suffix in ("stl", "stl_ascii", "obj", "ply", "glb", "3mf"):
         path = written(tmp_path / f"{suffix}.{suffix.partition('_')[0]}", exported(BOX, suffix))
         assert "more than 11" in str(reading_or_reason(path))
 
@@ -145,7 +144,7 @@ def test_folders_missing_files_and_unreadable_files_are_refused(
     assert "permission denied" in str(reading_or_reason(path))
 
 
-@pytest.mark.parametrize("suffix", ["stl", "stl_ascii", "obj", "ply", "off", "3mf", "glb"])
+@pytest.mark.parametrize("suffix", ["stl", "stl_ascii", "obj", "ply", "3mf", "glb"])
 def test_every_format_gives_the_same_part(suffix: str, tmp_path: Path) -> None:
     rod = trimesh.creation.cylinder(6, 30, sections=20)
     rod.apply_transform(trimesh.transformations.rotation_matrix(0.3, (1, 2, 3)))
@@ -284,8 +283,7 @@ def test_nothing_to_read_is_an_input_error(name: str, data: bytes | None, fact: 
 
 
 CASES = cases()
-WHOLE = ("root-by-relationship.3mf", "escaped-name.gltf", "polygons.off", "lower-case.stl", "upper-case.stl")
-WHOLE += ("carriage-returns.stl", "byte-order-mark.stl")
+WHOLE = ("root-by-relationship.3mf", "lower-case.stl", "upper-case.stl", "carriage-returns.stl", "byte-order-mark.stl")
 NAMED = {  # what the refusal names
     "negative-volume-slic3r.3mf": "NegativeVolume",
     "modifier-slic3r.3mf": "ParameterModifier",
@@ -297,6 +295,8 @@ NAMED = {  # what the refusal names
     "draco.glb": "Draco compression",
     "quantized-bytes.glb": "quantized positions",
     "sparse-positions.glb": "sparse",
+    "escaped-name.gltf": "not a mesh format: .gltf",
+    "polygons.off": "not a mesh format: .off",
     "own-camera/decimal-comma.stl": "line 4: '0,000000e+00' is no number (a decimal comma)",
 }
 
@@ -308,7 +308,7 @@ def test_a_case_is_the_part_that_was_meant_or_is_refused_by_name(name: str) -> N
     outcome = reading_or_reason(CASES / name)
     if isinstance(outcome, str):
         assert NAMED[name] in outcome
-        assert "export" in outcome
+        assert "export" in outcome or "known are" in outcome
     else:
         assert name in WHOLE
         assert outcome.mesh.extents * 1e3 == pytest.approx((42, 24, 14), abs=1e-3)

@@ -1,4 +1,4 @@
-"""STL, OBJ, OFF and PLY in the dialects of other programs: each is read exactly, or refused with its place."""
+"""STL, OBJ and PLY in the dialects of other programs: each is read exactly, or refused with its place."""
 
 from __future__ import annotations
 
@@ -83,11 +83,6 @@ AREA = 0.5 * abs(np.dot(OUTLINE[:, 0], np.roll(OUTLINE[:, 1], -1)) - np.dot(OUTL
 FACES = [list(range(N))[::-1], list(range(N, 2 * N)), *([k, (k + 1) % N, (k + 1) % N + N, k + N] for k in range(N))]
 
 
-def off(header: str = "OFF\n", tail: str = "", counts: str = " 24", colour: str = "") -> str:
-    rows = [f"{len(VERTICES)} {len(FACES)}{counts}", *(f"{x} {y} {z}{tail}" for x, y, z in VERTICES)]
-    return header + "\n".join([*rows, *(f"{len(face)} {' '.join(map(str, face))}{colour}" for face in FACES)]) + "\n"
-
-
 def obj(corner: str = "{}", relative: bool = False) -> str:
     points = "".join(f"v {x} {y} {z}\n" for x, y, z in VERTICES)
     rows = ["f " + " ".join(corner.format(i - len(VERTICES) if relative else i + 1) for i in face) for face in FACES]
@@ -114,15 +109,6 @@ def ply_binary(order: str) -> bytes:
 
 
 POLYGONS = {
-    "a.off": off().encode(),
-    "colours.off": off("COFF\n", " 0.5 0.5 0.5 1", colour=" 0.5 0.5 0.5").encode(),
-    "header.off": off("# made\nOFF ").encode(),
-    "short.off": off(counts="").encode(),
-    "bare.off": off("").encode(),
-    "crlf.off": off().replace("\n", "\r\n").encode(),
-    "cr.off": off().replace("\n", "\r").encode(),
-    "mark.off": MARK + off().encode(),
-    "comments.off": off().replace("\n", " # here\n").encode(),
     "a.obj": obj().encode(),
     "texture.obj": obj("{}/1").encode(),
     "normal.obj": obj("{}//1").encode(),
@@ -158,7 +144,7 @@ def test_indices_from_the_back_count_from_where_they_stand(tmp_path: Path) -> No
     assert reading.mesh.volume * 1e9 == pytest.approx(4500)
 
 
-BINARY_OR_TEXT = ("stl", "obj", "ply", "off", "glb", "gltf", "3mf", "step")
+BINARY_OR_TEXT = ("stl", "obj", "ply", "glb", "3mf", "step")
 LFS = b"version https://git-lfs.github.com/spec/v1\noid sha256:%s\nsize 684\n" % (b"0" * 64)
 REFUSED: list[tuple[str, str | bytes, tuple[str, ...]]] = [  # (suffix, contents, facts)
     ("stl", TEXT.encode("utf-16"), ("UTF-16", "save it in UTF-8")),
@@ -183,14 +169,6 @@ REFUSED: list[tuple[str, str | bytes, tuple[str, ...]]] = [  # (suffix, contents
     ("stl", b"SOLID NOTHING\r\nENDSOLID NOTHING\r\n", ("holds no triangles",)),
     ("stl", b"solid a\nvertex 1 2 3\nendsolid a\n", ("holds no triangles",)),
     ("stl", b"Dear all, please find attached\n" * 9, ("not a mesh: text file",)),
-    ("off", off("OFF BINARY\n"), ("binary", "save it as plain OFF")),
-    ("off", off("4OFF\n"), ("not of three dimensions",)),
-    ("off", off().replace("16 10", "16 11"), ("16 vertices and 11 faces in 26 lines",)),
-    ("off", off()[:-20], ("not readable as OFF",)),
-    ("off", off().replace("4 7 0 8 15", "4 7 0 8"), ("'4 7 0 8'", "fewer corners")),
-    ("off", off().replace("4 7 0 8 15", "4 7\n0 8 15"), ("16 vertices and 10 faces in 27 lines",)),
-    ("off", off().replace("4 7 0 8 15", "4 7 0 8 16"), ("vertex 16 of 16",)),
-    ("off", off().replace("40.0", "40,0"), ("line 4", "a decimal comma")),
     ("obj", obj().replace("f 8 1", "f 0 1"), ("vertex -1 of 16",)),
     ("obj", obj().replace("f 8 1", "f x 1"), ("'f x 1 9 16'", "not whole")),
     ("obj", obj() + "v 1 2\n", ("'v 1 2'", "fewer than 3 coordinates")),
@@ -211,10 +189,7 @@ REFUSED: list[tuple[str, str | bytes, tuple[str, ...]]] = [  # (suffix, contents
     ),
     ("ply", ply_text().replace(b"vertex_indices", b"corners"), ("without vertex_indices",)),
     ("ply", ply_text().replace(b"4 7 0 8 15", b"4 7 0.5 8 15"), ("not a whole number",)),
-    *(
-        (suffix, LFS, ("a Git LFS pointer", "git lfs pull"))
-        for suffix in ["stl", "obj", "ply", "off", "glb", "gltf", "3mf", "step"]
-    ),
+    *((suffix, LFS, ("a Git LFS pointer", "git lfs pull")) for suffix in BINARY_OR_TEXT),
 ]
 
 
