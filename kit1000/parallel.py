@@ -17,7 +17,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from functools import partial
 from itertools import islice
 from multiprocessing import resource_tracker
@@ -29,7 +29,6 @@ from kit1000.interrupts import keeping_sigterm
 
 ParallelMap = Callable[[Callable[[Any], Any], Iterable[Any]], Iterator[Any]]
 
-ENGINES = ("local", "ray")
 JOBS_PER_WORKER = 2  # submitted at once; all fit into joblib's queue, whose workers are else not ended in order
 LOOK_EVERY = 1.0  # [s] between two looks of a worker whether its parent is there
 ONE_THREAD_ENV = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")}
@@ -42,17 +41,6 @@ CONTINUES = "run the same command again, it continues"
 def usable_cores() -> int:
     """Number of processor cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def engine(name: str, workers: int | None = None, address: str | None = None) -> AbstractContextManager[ParallelMap]:
-    """The engine of the options `--engine`, `--workers` and `--address`. Raises InputError when they do not fit."""
-    if name not in ENGINES:
-        raise InputError(f"--engine: expected {' or '.join(ENGINES)}, got {name!r}")
-    if name == "ray":
-        return ray_engine(address, workers)
-    if address is not None:
-        raise InputError("--address: is that of a Ray cluster and needs --engine ray")
-    return local_engine(workers)
 
 
 @contextmanager

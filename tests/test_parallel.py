@@ -9,13 +9,12 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from kit1000.errors import InputError, InternalError, Kit1000Error
-from kit1000.parallel import JOBS_PER_WORKER, engine, local_engine, usable_cores
+from kit1000.parallel import JOBS_PER_WORKER, local_engine, ray_engine, usable_cores
 from tests.samples.checkout import ROOT
 from tests.samples.jobs import all_end, fail_at_three, kill_own_process, signalled, square
 
@@ -96,19 +95,13 @@ def test_a_script_needs_no_main_guard(tmp_path: Path) -> None:
     assert (done.stdout, done.stderr) == ("[0, 2, 4]\n", "")
 
 
-def test_an_engine_is_chosen_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_worker_needs_no_process_and_a_missing_ray_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     assert usable_cores() == len(os.sched_getaffinity(0))
-    with engine("local", workers=1) as parallel_map:
+    with local_engine(1) as parallel_map:
         assert list(parallel_map(square, [3])) == [9]
     monkeypatch.setitem(sys.modules, "ray", None)
-    wrong: dict[tuple[Any, ...], str] = {
-        ("spark",): "'spark'",
-        ("local", None, "auto"): "--address",
-        ("ray",): r"kit1000\[ray\]",
-    }
-    for arguments, fact in wrong.items():
-        with pytest.raises(InputError, match=fact), engine(*arguments):
-            pass
+    with pytest.raises(InputError, match=r"kit1000\[ray\]"), ray_engine():
+        pass
 
 
 ORPHANS = """

@@ -19,6 +19,7 @@ AGREED = 0.5  # least share of a body that the network sees as body too
 LEAST_PART = 150  # [px] of an instance
 LEAST_SHARE = 0.12  # ratio of the pixels of an instance to those of the largest one in a body, at least
 ROUND = 0.88  # area over convex area from above: a body with more than that is one part
+CELL = 2e-3  # [m] side of the cells of the table by which areas are measured
 LONGEST = 0.2  # [m] of bodies that may be several parts: the networks know parts of 35 to 50 mm
 
 
@@ -114,16 +115,11 @@ def _pieces(table: Table, body: SeenBody, found: Found) -> list[SeenBody]:
 
 
 def _roundness(table: Table, body: SeenBody) -> float:
-    """The area of a body over that of its convex outline, both from above and in steps of a pixel."""
+    """The area of the cells of the table that a body covers over that of its convex outline, both from above."""
     outline = convex_outline(table.ground(body.mask))
     if len(outline) == 0:
         return 1.0
     x, y = outline.T
     convex = float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum() / 2)
-    return _area_from_above(table, body) / max(convex, 1e-9)
-
-
-def _area_from_above(table: Table, body: SeenBody) -> float:
-    """[m^2] of the cells of the table, 2 mm wide, that a body covers."""
-    cells = np.unique(np.floor(table.ground(body.mask) / 2e-3).astype(int), axis=0)
-    return 4e-6 * len(cells)
+    cells = np.unique(np.floor(table.ground(body.mask) / CELL).astype(int), axis=0)
+    return len(cells) * CELL**2 / max(convex, 1e-9)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from kit1000.capture.options import LICENCE
 from kit1000.capture.own_scene import OwnScene
@@ -87,13 +87,9 @@ def _observation(scene_id: str, scene: OwnScene, sensor: str) -> Observation:
         for track in tracks_of(sensor)
         for part, pivot in pivots.items()
     )
-    observation = Observation(scene_id, {sensor: scene.image.view}, scene.image.labels, rows)
-    return Observation(scene_id, observation.views, observation.labels, rows, _picture(observation))
-
-
-def _picture(observation: Observation) -> Any:
-    """The preview, without outlines about the parts: a method is asked about all of them."""
-    return scene_picture(Observation(observation.scene_id, observation.views, observation.labels))
+    seen = Observation(scene_id, {sensor: scene.image.view}, scene.image.labels)
+    picture = scene_picture(seen)  # without outlines about the parts: a method is asked about all of them
+    return replace(seen, queries=rows, preview=picture)
 
 
 def _summary_bytes(

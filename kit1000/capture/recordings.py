@@ -9,7 +9,6 @@ from __future__ import annotations
 import io
 import struct
 from collections.abc import Iterator
-from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import IO, Any
@@ -116,9 +115,10 @@ def _frames(recording: _Recording, options: ImportOptions) -> list[DepthFrame]:
     if len(messages) < options.frames:
         found = f"{len(messages)} frames from {options.first} on"
         raise InputError(f"{source}: {found}, expected {options.frames}: lower --frames")
-    frames = [_frame_of(message, recording.schemas[topic], source) for message in messages]
+    values_of = _raw_values if recording.schemas[topic] in RAW_SCHEMAS else _packed_values
+    images = [values_of(message, source) for message in messages]
     intrinsics = None if options.intrinsics else _intrinsics(recording, topic, messages[0])
-    return [replace(frame, intrinsics=intrinsics) for frame in frames]
+    return [DepthFrame(values, source, UNITS[values.dtype.kind], intrinsics) for values in images]
 
 
 def _depth_topic(recording: _Recording, wanted: str | None) -> str:
@@ -149,11 +149,6 @@ def _shows_depth(recording: _Recording, topic: str) -> bool:
         return message is not None and message.encoding in RAW
     data = bytes(message.data[:32])
     return "compressedDepth" in message.format or (data.startswith(PNG) and data[24:26] == b"\x10\x00")  # 16 bit grey
-
-
-def _frame_of(message: Any, schema: str, source: str) -> DepthFrame:
-    values = _raw_values(message, source) if schema in RAW_SCHEMAS else _packed_values(message, source)
-    return DepthFrame(values, source, UNITS[values.dtype.kind])
 
 
 def _raw_values(message: Any, source: str) -> np.ndarray:

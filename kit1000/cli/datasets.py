@@ -63,9 +63,11 @@ class Generate:
     def _generate(self, chosen: Preset, out: Path, seed: int | None = None) -> dict[str, Any]:
         """Generate the full dataset in a folder; returns its summary."""
         from kit1000.generation.build import generate
-        from kit1000.parallel import engine as engine_of
+        from kit1000.parallel import ray_engine
 
-        engine = engine_of(self.engine, self.workers, self.address)
+        if self.address is not None and self.engine != "ray":
+            raise InputError("--address: is that of a Ray cluster and needs --engine ray")
+        engine = ray_engine(self.address, self.workers) if self.engine == "ray" else None
         return generate(chosen, out, self.seed if seed is None else seed, self.workers, self._sources(out), engine)
 
     def _publish(self, chosen: Preset, out: Path, full: Path) -> dict[str, Any]:

@@ -13,7 +13,6 @@ from itertools import product
 import numpy as np
 
 from kit1000.dataset.json_rows import Row, pose_row
-from kit1000.errors import InputError
 from kit1000.pose import Pose
 from kit1000.queries.guesses import (
     FIXED_LEVELS,
@@ -146,8 +145,6 @@ def scene_queries(
         parts: the parts of the scene.
         target: index of the scene's target.
     """
-    if CURVES in tracks and not scene_id.startswith("test-"):
-        raise InputError(f"curves: expected a scene of the test split, got {scene_id}")
     rows: list[Row] = []
     truths: dict[str, Row] = {}
     visible = [part for part in parts if part.invisibility is None]
@@ -209,29 +206,18 @@ def _rounded_row(pose: Pose) -> Row:
     return pose_row(Pose(np.round(pose.wxyz, POSE_DECIMALS), np.round(pose.xyz, POSE_DECIMALS)))
 
 
-def _all(_: PartInScene) -> bool:
-    return True
-
-
-def _upright(part: PartInScene) -> bool:
-    return part.rest_mode == UPRIGHT
-
-
-def _nearly_level(part: PartInScene) -> bool:
-    """Whether the part is upright and some goal needs no more roll and pitch than the paper's candidates have."""
-    angles = np.arange(0, 2 * np.pi, ANGLE_STEP) if part.slot.free_axis is not None else 0.0
-    goals = range(len(part.slot.goals))
-    return _upright(part) and any(
-        bool(np.any(largest_roll_or_pitch(part.motion(i, angles)) <= PAPER_TILT)) for i in goals
-    )
-
-
-_ELIGIBLE = {"all": _all, "upright": _upright, "upright with a nearly level goal": _nearly_level}
-
-
 def eligible(track: Track, part: PartInScene) -> bool:
     """Whether a track has queries about such a part, if it is visible."""
-    return _ELIGIBLE[track.parts](part)
+    if track.parts == "all" or part.rest_mode != UPRIGHT:
+        return track.parts == "all"
+    return track.parts == "upright" or _has_nearly_level_goal(part)
+
+
+def _has_nearly_level_goal(part: PartInScene) -> bool:
+    """Whether some goal needs no more roll and pitch than the paper's candidates have."""
+    angles = np.arange(0, 2 * np.pi, ANGLE_STEP) if part.slot.free_axis is not None else 0.0
+    goals = range(len(part.slot.goals))
+    return any(bool(np.any(largest_roll_or_pitch(part.motion(i, angles)) <= PAPER_TILT)) for i in goals)
 
 
 def asked_query(

@@ -188,12 +188,14 @@ def _best_attempt(part: Part, clearance: float, place: str) -> Attempt:
     try:
         for attempt in attempts(part, clearance, None):
             reason = reason or attempt.refusal or ""
-            fault = None if attempt.design is None else _fault_of(attempt.design, attempt.refusal, place)
+            if attempt.design is None:
+                continue
+            fault = _fault_of(attempt.design, attempt.refusal, place)
             if fault is not None:
                 faults.append(fault)
-            elif attempt.passed:
+            elif attempt.refusal is None:
                 return attempt
-            elif attempt.design is not None:
+            else:
                 failing = failing or attempt
     except Redraw as refusal:
         reason = refusal.reason

@@ -39,7 +39,7 @@ def convex_prisms(kit: Kit, tolerance: float = TOLERANCE) -> list[Mesh]:
     plate = CrossSection.square(high[:2] - low[:2] - 2 * GRID).translate(low[:2] + GRID)
     for layer in _layers(cavity, floor, float(high[2]), tolerance):
         kept = plate - _outer_outline(layer.shadow, tolerance / 2)
-        pieces += [_prism(polygon, layer.low, layer.high) for polygon in convex_polygons(kept)]
+        pieces += [convex_hull(_prism_corners(polygon, layer.low, layer.high)) for polygon in convex_polygons(kept)]
     return [mesh_from_solid(piece) for piece in pieces]
 
 
@@ -218,10 +218,6 @@ def _area(polygon: np.ndarray) -> float:
     """[m^2] of a polygon (n, 2), positive when it runs counter-clockwise."""
     x, y = polygon.T
     return float(matmul(x, np.roll(y, -1)) - matmul(y, np.roll(x, -1))) / 2
-
-
-def _prism(polygon: np.ndarray, low: float, high: float) -> Manifold:
-    return convex_hull(_prism_corners(polygon, low, high))
 
 
 def _prism_corners(polygon: np.ndarray, low: float, high: float) -> np.ndarray:

@@ -84,7 +84,8 @@ def find_goals(design: Design) -> tuple[Pose, FreeAxis | None]:
     """All goals of a design, the design pose first, and the free axis if there is one."""
     axis = _free_axis(design)
     order = 1 if axis is not None and abs(axis.direction[2]) > 0.5 else _rotation_order(design)
-    declared = [Pose(_design_rotation(design, q), design.kit_from_part.xyz) for q in design.symmetry.rotations]
+    turned = design.kit_from_part @ Pose(design.symmetry.rotations, np.zeros(3))
+    declared = list(Pose(turned.wxyz, design.kit_from_part.xyz))
     flips = _flipped_poses(design, known=declared)
     candidates, goals = _rotated_copies(design, Pose.stack([*declared, *flips]), order), []
     while len(candidates):
@@ -201,7 +202,8 @@ def _flipped_poses(design: Design, known: list[Pose]) -> list[Pose]:
     relief, weights = design.relief
     found = []
     for face in design.faces:
-        if any(_faces_down(pose, face.normal) for pose in known) or face.height < design.shadows.depth:
+        is_down = any(pose.rotate(face.normal)[2] < -cosine(SAME_GOAL_ANGLE) for pose in known)
+        if is_down or face.height < design.shadows.depth:
             continue
         other, _, _ = polar_relief(design.mesh.moved(face.plane_from_part), design.shadows.depth)
         yaw, difference = best_yaw(relief, other, weights)
@@ -223,10 +225,6 @@ def _has_rim_area(design: Design, plane_from_part: Pose) -> bool:
     area, grown = design.rim_areas
     most = (1 + AREA_SLACK) * grown + AREA_TOLERANCE
     return shadow.area() < most and area < (1 + AREA_SLACK) * _grown(shadow).area() + AREA_TOLERANCE
-
-
-def _faces_down(pose: Pose, normal: np.ndarray) -> bool:
-    return bool(pose.rotate(normal)[2] < -cosine(SAME_GOAL_ANGLE))
 
 
 def best_yaw(relief: np.ndarray, other: np.ndarray, weights: np.ndarray) -> tuple[float, float]:
@@ -259,11 +257,6 @@ def _aligned(design: Design, plane_from_part: Pose, yaw: float) -> Pose:
         lambda extra: -overlap(extra), bounds=(-ALIGN_RANGE, ALIGN_RANGE), method="bounded", options={"xatol": 1e-7}
     )
     return placed(yaw + best.x)
-
-
-def _design_rotation(design: Design, rotation: np.ndarray) -> np.ndarray:
-    """(4,) rotation of the design pose after a symmetry rotation (4,) of the part."""
-    return (design.kit_from_part @ Pose(rotation, np.zeros(3))).wxyz
 
 
 def nearest_about_axis(pose: Pose, goal: Pose, axis: FreeAxis) -> Pose:

@@ -85,58 +85,41 @@ class KitDesign:
         }
 
 
-@dataclass(frozen=True, eq=False)
-class SlotDesign:
-    """The slot of a part on an insertion face, before any cavity is cut."""
-
-    part: Part
-    face: RestingFace
-    slot: Slot
-    shadows: PartShadows
-
-
 def make_kit(part: Part, clearance: float = CLEARANCE, plate: Plate | None = UNIT_PLATE) -> Kit:
     """The kit of a part on the first of its insertion faces, without trials; see `design_kit`."""
     return design_kit(part, clearance, plate).kit
 
 
 def design_kit(
-    part: Part, clearance: float = CLEARANCE, plate: Plate | None = UNIT_PLATE, face: RestingFace | None = None
+    part: Part,
+    clearance: float = CLEARANCE,
+    plate: Plate | None = UNIT_PLATE,
+    face: RestingFace | None = None,
+    known_faces: Sequence[RestingFace] | None = None,
 ) -> KitDesign:
     """The kit of a part with a clearance [m], in a given plate or, with None, in one fitted to the part.
 
-    face: the insertion face; the first of `insertion_faces` when None. Raises Redraw with a short reason when the part
-    has no insertion face or does not fit the plate.
+    Args:
+        part: the part.
+        clearance: of the cavity [m].
+        plate: the plate.
+        face: the insertion face; the first of `insertion_faces` when None.
+        known_faces: all resting faces of the part, if the caller has them.
+
+    Raises:
+        Redraw: the part has no insertion face or does not fit the plate; the reason is short.
     """
-    return cut_kit(design_slot(part, clearance, face or insertion_faces(part, clearance, plate is None)[0]), plate)
-
-
-def design_slot(
-    part: Part, clearance: float, face: RestingFace, known_faces: Sequence[RestingFace] | None = None
-) -> SlotDesign:
-    """The slot of a part on an insertion face: its design pose, its shadows there and its goals.
-
-    known_faces: all resting faces of the part, if the caller has them.
-    """
+    face = face or insertion_faces(part, clearance, plate is None)[0]
     depth = insertion_depth(face.height)
     standing = _aligned_with_plate(part.mesh, face, depth)  # plane_from_part
     shadows = PartShadows.of(solid_from_mesh(part.mesh).transform(standing.matrix()[:3]), depth)
     kit_from_part = Pose.from_translation(np.array([0, 0, -depth])) @ standing
     goals, free_axis = find_goals(Design(part.mesh, part.symmetry, kit_from_part, shadows, known_faces))
-    return SlotDesign(part, face, Slot(part.id, kit_from_part, clearance, depth, goals, free_axis), shadows)
-
-
-def cut_kit(design: SlotDesign, plate: Plate | None = UNIT_PLATE) -> KitDesign:
-    """The kit with a designed slot, in a given plate or, with None, in one fitted to the part.
-
-    Raises Redraw with a short reason when the part does not fit the plate.
-    """
-    part, slot = design.part, design.slot
-    plate = plate or _fitted_plate(part.mesh.moved(slot.kit_from_part), slot.clearance, slot.depth)
-    details = (MERGED_FILE if part.family == FILE else MERGED, EXACT)
-    cavity, mesh, measured = _cut_plate(design.shadows, slot.clearance, plate, details)
-    kit = Kit(part.id, mesh, slot, np.array([*plate.width, plate.thickness]))
-    return KitDesign(kit, cavity, design.face, measured)
+    slot = Slot(part.id, kit_from_part, clearance, depth, goals, free_axis)
+    plate = plate or _fitted_plate(part.mesh.moved(kit_from_part), clearance, depth)
+    detail = MERGED_FILE if part.family == FILE else MERGED
+    cavity, mesh, measured = _cut_plate(shadows, clearance, plate, detail)
+    return KitDesign(Kit(part.id, mesh, slot, np.array([*plate.width, plate.thickness])), cavity, face, measured)
 
 
 def insertion_faces(part: Part, clearance: float = CLEARANCE, fitted_plate: bool = False) -> list[RestingFace]:
@@ -155,19 +138,14 @@ def insertion_faces(part: Part, clearance: float = CLEARANCE, fitted_plate: bool
     return [tall[i] for i in rank_faces(part.mesh, tall, depths, clearance, part.symmetry)]
 
 
-def _cut_plate(
-    part: PartShadows, clearance: float, plate: Plate, details: tuple[Detail, ...]
-) -> tuple[Cavity, Mesh, Clearance]:
-    """The cavity, the plate and its clearance, in the first of the details that keeps the bounds, else in the last."""
-    *first, last = details
-    for detail in first:
-        cavity, mesh, measured = _cut_in_detail(part, clearance, plate, detail)
-        is_wide_enough = detail is not MERGED_FILE or measured.smallest >= clearance - SAGITTA
-        if is_wide_enough and measured.largest <= clearance + MAX_EXCESS_CLEARANCE:
-            return cavity, mesh, measured
-        if measured.largest > clearance + 3 * MAX_EXCESS_CLEARANCE:
-            break  # more than any detail adds
-    return _cut_in_detail(part, clearance, plate, last)
+def _cut_plate(part: PartShadows, clearance: float, plate: Plate, detail: Detail) -> tuple[Cavity, Mesh, Clearance]:
+    """The cavity, the plate and its clearance, in a detail if that keeps the bounds, else the exact ones."""
+    made = _cut_in_detail(part, clearance, plate, detail)
+    measured = made[-1]
+    is_wide_enough = detail is not MERGED_FILE or measured.smallest >= clearance - SAGITTA
+    if is_wide_enough and measured.largest <= clearance + MAX_EXCESS_CLEARANCE:
+        return made
+    return _cut_in_detail(part, clearance, plate, EXACT)
 
 
 def _cut_in_detail(part: PartShadows, clearance: float, plate: Plate, detail: Detail) -> tuple[Cavity, Mesh, Clearance]:

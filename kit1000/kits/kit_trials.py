@@ -16,7 +16,7 @@ import numpy as np
 from kit1000.errors import Redraw
 from kit1000.kits.face import RestingFace
 from kit1000.kits.goals import is_goal
-from kit1000.kits.kit import CLEARANCE, UNIT_PLATE, KitDesign, Plate, cut_kit, design_slot, insertion_faces
+from kit1000.kits.kit import CLEARANCE, UNIT_PLATE, KitDesign, Plate, design_kit, insertion_faces
 from kit1000.kits.loose_fits import accepts_most_parts, find_loose_fit, turns_freely
 from kit1000.kits.prepared import PreparedKit, PreparedPart
 from kit1000.kits.seating import (
@@ -70,12 +70,12 @@ def accepted_kit(part: Part, clearance: float = CLEARANCE, plate: Plate = UNIT_P
 
     Raises Redraw with the reason of the first face if none passes.
     """
-    reasons = []
+    reason = ""
     for attempt in attempts(part, clearance, plate):
         if attempt.passed:
             return attempt.passed
-        reasons.append(attempt.refusal)
-    raise Redraw(str(reasons[0]))
+        reason = reason or str(attempt.refusal)
+    raise Redraw(reason)
 
 
 def attempts(part: Part, clearance: float, plate: Plate | None) -> Iterator[Attempt]:
@@ -89,10 +89,9 @@ def attempts(part: Part, clearance: float, plate: Plate | None) -> Iterator[Atte
 
 
 def _attempt(part: Part, clearance: float, plate: Plate | None, face: RestingFace, prepared: PreparedPart) -> Attempt:
-    slot = design_slot(part, clearance, face, prepared.all_faces)
     design = trial = refusal = None
     try:
-        design = cut_kit(slot, plate)
+        design = design_kit(part, clearance, plate, face, prepared.all_faces)
         kit = PreparedKit(design.kit)
         if plate is not None:
             _check_for_dataset(design, kit)

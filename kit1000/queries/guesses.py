@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from kit1000.errors import InputError
 from kit1000.numerics.trigonometry import cosine, sine
 from kit1000.pose import unit_vector
 from kit1000.values import Slot
@@ -44,18 +43,12 @@ def draw_tilt_error(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
 
 def level_offset(level: int) -> float:
     """Length [m] of the offset at a level of a curve: 0, 4 ... 28 mm."""
-    return MAX_OFFSET * _level(level) / (LEVELS - 1)
+    return MAX_OFFSET * level / (LEVELS - 1)
 
 
 def level_angle(level: int) -> float:
     """Angle [rad] of the rotation at a level of a curve: 0, 3.9 ... 27.5 degrees."""
-    return MAX_ANGLE * _level(level) / (LEVELS - 1)
-
-
-def _level(level: int) -> int:
-    if not 0 <= level < LEVELS:
-        raise InputError(f"level: expected 0 to {LEVELS - 1}, got {level}")
-    return level
+    return MAX_ANGLE * level / (LEVELS - 1)
 
 
 def _draw_offset(rng: np.random.Generator) -> np.ndarray:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kit1000.errors import Redraw, checked
+from kit1000.errors import Redraw
 from kit1000.numerics.trigonometry import cosine, sine
 from kit1000.sim.footprints import centroid, footprint_distance
 
@@ -35,11 +35,6 @@ class Crowding:
     """(n,) [m] between their footprints."""
     shift: np.ndarray
     """(2,) in -1..1: fraction of the largest shift that keeps the group within MAX_SHIFT and in its region."""
-
-    def __post_init__(self) -> None:
-        n = len(self.gaps)
-        for name, shape in {"neighbours": (n,), "directions": (n,), "gaps": (n,), "shift": (2,)}.items():
-            object.__setattr__(self, name, checked(name, getattr(self, name), shape))
 
 
 def draw_crowding(rng: np.random.Generator, n: int) -> Crowding:

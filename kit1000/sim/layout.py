@@ -15,7 +15,7 @@ from itertools import combinations
 import numpy as np
 from scipy.spatial.distance import pdist
 
-from kit1000.errors import InputError, Redraw, ShapeError, checked
+from kit1000.errors import Redraw
 from kit1000.mesh import Mesh
 from kit1000.numerics.linear_algebra import length
 from kit1000.pose import Pose, random_quaternions
@@ -40,7 +40,6 @@ MAX_KITS_SHIFT = 0.05  # [m] along x and along y
 DROP_BOUNDS = np.array([[-0.12, -0.30], [0.12, -0.06]])  # [m] lowest and highest drop point
 PARTS_BOUNDS = np.array([[-0.19, -0.345], [0.19, -MIN_GAP]])  # [m] the region of the parts that the cameras see
 MAX_PART_RADIUS = 0.0435  # [m] half the diagonal of a cube of 50 mm
-MAX_PARTS = 5
 MAX_TRIES = 10_000  # draws of all drop points together; about one in thirty separates five parts
 TUMBLED_DROP = 5e-3  # [m] initial height of the lowest point of a tumbled part
 UPRIGHT_DROP = 2e-4  # [m] initial height of an upright part
@@ -67,12 +66,6 @@ class LayoutDraw:
     """Scale of both halves of the table; the lengths at the head of this module are those at 1."""
     crowding: Crowding | None = None
     """How the parts are pushed together; None: they stay apart."""
-
-    def __post_init__(self) -> None:
-        n = len(self.modes)
-        shapes = {"assembly_shift": (2,), "drop_points": (n, 2), "yaws": (n,), "tumbled_rotations": (n, 4)}
-        for name, shape in shapes.items():
-            object.__setattr__(self, name, checked(name, getattr(self, name), shape))
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,9 +102,6 @@ def draw_layout(
 
     The numbers do not depend on the modes. A crowded layout draws the same numbers first, then extra ones.
     """
-    unknown = sorted({*modes} - {UPRIGHT, TUMBLED})
-    if unknown or len(modes) > MAX_PARTS:
-        raise ShapeError(f"modes: expected up to {MAX_PARTS}, each {UPRIGHT} or {TUMBLED}, got {list(modes)}")
     n = len(modes)
     yaw, shift = float(rng.uniform(0, 2 * np.pi)), rng.uniform(-1, 1, 2)
     yaws, tumbles = rng.uniform(0, 2 * np.pi, n), random_quaternions(rng, n)
@@ -126,7 +116,7 @@ def simulate_layout(assembly: Assembly, parts: Sequence[tuple[Part, Slot]], draw
     Raises Redraw when a part does not come to rest, an upright one is unstable, one leaves its half, or two come to
     rest nearer to each other than MIN_GAP.
     """
-    releases = [_release(draw, i, *pair) for i, pair in enumerate(_checked_parts(parts, draw))]
+    releases = [_release(draw, i, *pair) for i, pair in enumerate(parts)]
     rests = settle(releases)
     for mode, release, rest in zip(draw.modes, releases, rests, strict=True):
         _check_rest(mode, release, rest)
@@ -152,18 +142,6 @@ def _draw_drop_points(rng: np.random.Generator, n: int) -> np.ndarray:
         if pdist(points).min(initial=np.inf) >= 2 * MAX_PART_RADIUS + MIN_GAP:
             return points
     raise Redraw("no room for the parts")
-
-
-def _checked_parts(parts: Sequence[tuple[Part, Slot]], draw: LayoutDraw) -> Sequence[tuple[Part, Slot]]:
-    if len(parts) != len(draw.modes):
-        raise ShapeError(f"parts: expected {len(draw.modes)} for this draw, got {len(parts)}")
-    for part, _ in parts:
-        radius = length(part.mesh.extents) / 2
-        if radius > draw.scale * MAX_PART_RADIUS:
-            expected = f"expected at most {2e3 * draw.scale * MAX_PART_RADIUS:.0f} mm, as of a cube of"
-            expected += f" {50 * draw.scale:.0f} mm"
-            raise InputError(f"part {part.id}: its box has a diagonal of {2e3 * radius:.1f} mm, {expected}")
-    return parts
 
 
 def _release(draw: LayoutDraw, i: int, part: Part, slot: Slot) -> Release:

@@ -207,8 +207,6 @@ def sense(name: str, view: View, rng: np.random.Generator, frames: int = 1) -> V
 
 def conditions_of(sensor: Sensor, rng: np.random.Generator, frames: int = 1) -> Conditions:
     """Draw what holds for all pixels of an image that is the mean of some frames; always seven draws."""
-    if frames < 1:
-        raise InputError(f"frames: expected 1 or more, got {frames}")
     amplitude, fixed, bend, unit, aligned, ramp, holes = rng.random(7)
     low, high = sensor.amplitude_px
     noise = round(low * (high / low) ** amplitude, DRAWN_DECIMALS) if low > 0 else 0.0

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kit1000.camera import NEAREST, Camera
+from kit1000.camera import Camera
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh, even_points
 from kit1000.numerics.compiled import compiled
@@ -81,8 +81,6 @@ def silhouette_pixels(camera: Camera, world_from_camera: Pose, mesh: Mesh, world
     Only its bounding box is rendered: a camera with a shifted principal point sees exactly the same pixels.
     """
     points = (world_from_camera.inverse() @ world_from_part).apply(mesh.vertices)
-    if points[:, 2].min() < NEAREST:
-        raise InputError("part: expected one wholly in front of the camera, got vertices behind it")
     _, _, around = camera.window(points, -UNBOUNDED, UNBOUNDED)
     return int(np.count_nonzero(render(around, world_from_camera, [(mesh, world_from_part)], threads=1).body_ids))
 
@@ -129,8 +127,6 @@ def cavity_labels(
     A point is in a cavity when it is inside the bounding box of the plate, by RIM_MARGIN from its top face and by
     SIDE_MARGIN from the others: inside the box, only the cavity is empty.
     """
-    if len(kits) != len(world_from_kits):
-        raise InputError(f"kits: expected one for each of {len(world_from_kits)} poses, got {len(kits)}")
     labels = np.full(depth.shape, -1, np.int16)
     intrinsics, camera_from_world = Intrinsics.of(camera), world_from_camera.inverse()
     size = (camera.width, camera.height)

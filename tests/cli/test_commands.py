@@ -91,6 +91,7 @@ WRONG = {  # by what is typed: facts of the answer
     "generate tiny --out {tmp}/out --parts {tmp}": "{tmp}: no mesh files inside; looked for .stl .obj",
     "generate tiny --out {tmp}/out --parts {files}/empty.stl": "none of 1 mesh files can be a part: 1x empty file (",
     "generate tiny --out {tmp}/out --unit mm": "--unit: |--parts",
+    "generate tiny --out {tmp}/out --address auto": "--address: |--engine ray",
     "generate tiny --out {tmp}/out --withhold {tmp}/out": "--withhold: expected a folder outside --out {tmp}/out",
     "generate tiny --out {tmp}/out --withhold {tmp}/w --seed 7": "--seed: 7 can be guessed",
     "generate tiny --out {data} --withhold {tmp}/w": "{data} contains a full dataset|--out",

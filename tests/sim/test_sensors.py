@@ -12,7 +12,6 @@ from scipy.ndimage import uniform_filter1d
 from scipy.stats import norm
 
 from kit1000.camera import Camera
-from kit1000.errors import InputError
 from kit1000.pose import Pose
 from kit1000.rng import stream
 from kit1000.sim.noise_fields import add_enlarged, box_means, smooth_field, uniform_of, windowed_noise
@@ -74,11 +73,6 @@ def test_the_number_of_draws_depends_on_the_image_size_alone(name: str) -> None:
         sense(name, view, rng)
         after.append(rng.random())
     assert len(set(after)) == 1
-
-
-def test_no_frame_is_no_image() -> None:
-    with pytest.raises(InputError, match="frames: expected 1 or more, got 0"):
-        sense("d415", wall(TINY, 1.0), stream(0), frames=0)
 
 
 @pytest.mark.parametrize("jump", [0.0, 1.5, 4.0, 12.0])

@@ -95,12 +95,6 @@ def test_a_part_too_far_away_for_a_pixel_has_no_share():
     assert part_visibility(render(CAMERA, IDENTITY, [speck]), 0, CAMERA, IDENTITY, *speck) == PartVisibility(0, 0.0)
 
 
-def test_a_part_around_the_camera_is_rejected():
-    body = (slab(1, 1, 1), IDENTITY)
-    with pytest.raises(InputError, match="part: expected one wholly in front of the camera"):
-        part_visibility(render(CAMERA, IDENTITY, [body]), 0, CAMERA, IDENTITY, *body)
-
-
 @pytest.mark.parametrize("tilt", [0.0, 0.3, 1.0, 1.6, 3.1])
 def test_the_angle_of_a_slot_is_its_tilt_from_the_line_of_sight(tilt: float):
     view = look_at((0, 0, 0.8), (0, 0, 0), up=(0, 1, 0))
@@ -285,8 +279,3 @@ def test_a_camera_inside_a_plate_gives_correct_labels():
     inside = (abs(points[..., :2]) <= half).all(-1) & (points[..., 2] <= -RIM_MARGIN)
     assert inside.any()
     np.testing.assert_array_equal(cavity_labels(depth, CAMERA, view, [IDENTITY], [kit]) == 0, inside)
-
-
-def test_there_must_be_as_many_kits_as_poses():
-    with pytest.raises(InputError, match="kits: expected one for each of 2 poses, got 1"):
-        cavity_labels(np.zeros((720, 1280)), CAMERA, IDENTITY, Pose.identity((2,)), [trough()])

@@ -76,16 +76,16 @@ def _protobuf(kind: type) -> Schema:
 
 def json_schema(name: str, schema: Mapping[str, Any]) -> Schema:
     """The schema of rows written as JSON."""
-    return Schema(name, SchemaEncoding.JSONSchema, MessageEncoding.JSON, compact_bytes(schema, name))
+    return Schema(name, SchemaEncoding.JSONSchema, MessageEncoding.JSON, compact_bytes(schema))
 
 
 def _message(topic: str, value: Any) -> Message:
     return Message(topic, _protobuf(type(value)), value.SerializeToString(deterministic=True))
 
 
-def row_message(topic: str, schema: Schema, row: Any, what: str) -> Message:
-    """A row as JSON; `what` starts the error message."""
-    return Message(topic, schema, compact_bytes(row, what))
+def row_message(topic: str, schema: Schema, row: Any) -> Message:
+    """A row as JSON."""
+    return Message(topic, schema, compact_bytes(row))
 
 
 def row_of(data: bytes) -> Any:

@@ -14,7 +14,7 @@ import numpy as np
 
 from kit1000.camera import Camera
 from kit1000.dataset.json_rows import Row
-from kit1000.dataset.mcap_io.content_hash import check_on_grid, observation_hash
+from kit1000.dataset.mcap_io.content_hash import observation_hash
 from kit1000.dataset.mcap_io.messages import (
     PREVIEW_FRAME,
     Message,
@@ -149,7 +149,7 @@ def _messages(observation: Observation, stamp: int) -> Iterator[Message]:
     for row in observation.queries:
         if sorted(row) != sorted(QUERY_FIELDS):
             raise InputError(f"query {row.get('id')}: fields {sorted(row)}, expected {sorted(QUERY_FIELDS)}")
-        yield row_message("/query", _QUERY, row, f"query {row['id']}")
+        yield row_message("/query", _QUERY, row)
     if observation.preview is not None:
         yield preview_message(PREVIEW, observation.preview, stamp)
         yield _preview_points(observation, next(iter(views.values())), observation.preview, stamp)
@@ -157,7 +157,6 @@ def _messages(observation: Observation, stamp: int) -> Iterator[Message]:
         labels = checked(f"{observation.scene_id}: labels", observation.labels, ("h", "w"), np.uint8)
         yield image_message(LABELS, labels, "mono8", _frame_id(IDEAL), stamp)
     for key, view in views.items():
-        check_on_grid(view.depth, f"{observation.scene_id} {key}")
         yield image_message(f"/{key}/depth", view.depth, "32FC1", _frame_id(key), stamp)
 
 

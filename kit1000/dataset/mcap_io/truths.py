@@ -106,7 +106,7 @@ def _messages(truth: SceneTruth, stamp: int) -> Iterator[Message]:
     unknown = sorted(set(truth.models) - set(bodies))
     if unknown:
         raise InputError(f"{truth.scene_id}: models {', '.join(unknown)}, expected some of {', '.join(bodies)}")
-    yield row_message("/truth", _TRUTH, truth_row(truth), truth.scene_id)
+    yield row_message("/truth", _TRUTH, truth_row(truth))
     yield frames_message("/tf", bodies, stamp)
     if truth.goals is not None:
         yield poses_message("/goals", truth.goals, stamp)

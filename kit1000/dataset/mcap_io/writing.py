@@ -92,8 +92,8 @@ class ShardWriter:
             "licence": self.licence,
             "length_unit": "m",
             "depth_unit": "m",
-            "scenes": compact_bytes(list(self._content), "scenes").decode(),
-            "content": compact_bytes(self._content, "content").decode(),
+            "scenes": compact_bytes(list(self._content)).decode(),
+            "content": compact_bytes(self._content).decode(),
         }
         return record | {"checksum": record_checksum(record)}
 
@@ -121,4 +121,4 @@ class PictureWriter(ShardWriter):
 def record_checksum(record: Mapping[str, str]) -> str:
     """The checksum of a metadata record, without its entry `checksum`."""
     plain = {key: value for key, value in record.items() if key != "checksum"}
-    return hashlib.sha256(compact_bytes(plain, RECORD)).hexdigest()
+    return hashlib.sha256(compact_bytes(plain)).hexdigest()

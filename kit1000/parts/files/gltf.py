@@ -66,11 +66,8 @@ def glb_bodies(data: bytes, max_faces: int) -> list[Body]:
     order = {name: number for number, name in enumerate(scene.geometry)}
     nodes = [(scene.graph[node], node) for node in scene.graph.nodes_geometry]
     nodes.sort(key=lambda row: (order[row[0][1]], row[1]))
-    return [_placed(scene.geometry[name], str(name), matrix) for (matrix, name), _ in nodes if _is_mesh(scene, name)]
-
-
-def _is_mesh(scene: Any, name: str) -> bool:
-    return len(getattr(scene.geometry[name], "faces", ())) > 0
+    placed = ((scene.geometry[name], str(name), matrix) for (matrix, name), _ in nodes)
+    return [_placed(*row) for row in placed if len(getattr(row[0], "faces", ()))]
 
 
 def _placed(mesh: Any, name: str, matrix: np.ndarray) -> Body:

@@ -30,7 +30,8 @@ def open_edges(faces: np.ndarray) -> np.ndarray:
 
 def without_duplicates(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> np.ndarray:
     """The faces without collapsed ones and duplicates; a face and its reverse enclose nothing and both are dropped."""
-    faces = _uncollapsed(faces)
+    a, b, c = faces.T
+    faces = faces[(a != b) & (b != c) & (c != a)]
     rotated = faces[np.arange(len(faces))[:, None], (faces.argmin(1)[:, None] + np.arange(3)) % 3]
     swapped = (rotated[:, 1] > rotated[:, 2]).astype(np.int64)
     lowest, low, high = rotated[:, 0], rotated[:, 1:].min(1), rotated[:, 1:].max(1)
@@ -47,11 +48,6 @@ def without_duplicates(vertices: np.ndarray, faces: np.ndarray, notes: list[str]
     keep = ~same & ~(forward & backward)[group]
     notes.append(f"dropped {len(faces) - int(keep.sum()):,} duplicate faces")
     return faces[np.sort(order[keep])]
-
-
-def _uncollapsed(faces: np.ndarray) -> np.ndarray:
-    a, b, c = faces.T
-    return faces[(a != b) & (b != c) & (c != a)]
 
 
 def longest_side(vertices: np.ndarray) -> float:
