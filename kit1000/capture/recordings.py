@@ -7,7 +7,6 @@ of calibrations are capitals in Foxglove's schemas and small letters in those of
 from __future__ import annotations
 
 import io
-import struct
 from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing import IO, Any
 
 import numpy as np
 from mcap.exceptions import DecoderNotFoundError
-from mcap.reader import NonSeekingReader, SeekingReader
+from mcap.reader import SeekingReader
 from mcap_protobuf.decoder import DecoderFactory as ProtobufFactory
 from mcap_ros2.decoder import DecoderFactory as Ros2Factory
 from PIL import Image
@@ -38,7 +37,7 @@ CAMERA_SCHEMAS = (
     *(f"{package}CameraInfo" for package in ROS),
     *(f"{package}CameraCalibration" for package in FOXGLOVE),
 )
-PACKED_HEADER = struct.Struct("<iff")  # of compressedDepth: kind, and two numbers that quantise floats
+PACKED_HEADER = 12  # [bytes] of compressedDepth
 PNG = b"\x89PNG\r\n\x1a\n"
 LEAST_SHIFT = 0.5  # [px] between K and P, of which they are two matrices
 OTHER_IMAGERS = ("rgb", "color", "colour", "infra", "left", "right")
@@ -49,16 +48,15 @@ MOST_LISTED = 6  # topics in a message
 
 
 class _Recording:
-    """An open recording, with or without chunks."""
+    """An open recording."""
 
     def __init__(self, path: Path, file: IO[bytes]) -> None:
         self.path, self.file = path, file
         summary = SeekingReader(file, record_size_limit=MOST_RECORD).get_summary()
-        if summary is None or not summary.channels:
-            raise InputError(f"{path}: without an index; {FIX}")
+        if summary is None or not summary.chunk_indexes:
+            raise InputError(f"{path}: without an index of chunks; {FIX}")
         if any(chunk.uncompressed_size > MOST_RECORD for chunk in summary.chunk_indexes):
             raise InputError(f"{path}: a chunk of more than {MOST_RECORD >> 30} GiB; {FIX}")
-        self.chunked = bool(summary.chunk_indexes)
         schemas = {number: schema.name for number, schema in summary.schemas.items()}
         self.schemas = {each.topic: schemas.get(each.schema_id, "") for each in summary.channels.values()}
         """Names of schemas by topic; empty for messages without one."""
@@ -68,12 +66,12 @@ class _Recording:
         return sorted(topic for topic, schema in self.schemas.items() if schema in schemas)
 
     def messages(self, topic: str) -> Iterator[Any]:
-        """The messages of a topic, decoded, in the order of time; without chunks in the order of the file."""
+        """The messages of a topic, decoded, in the order of time."""
         self.file.seek(0)
-        kind = SeekingReader if self.chunked else NonSeekingReader
-        reader = kind(self.file, decoder_factories=(ProtobufFactory(), Ros2Factory()), record_size_limit=MOST_RECORD)
+        decoders = (ProtobufFactory(), Ros2Factory())
+        reader = SeekingReader(self.file, decoder_factories=decoders, record_size_limit=MOST_RECORD)
         try:
-            for found in reader.iter_decoded_messages(topics=[topic], log_time_order=self.chunked):
+            for found in reader.iter_decoded_messages(topics=[topic]):
                 yield found.decoded_message
         except DecoderNotFoundError:
             raise InputError(
@@ -169,15 +167,9 @@ def _packed_values(message: Any, source: str) -> np.ndarray:
     data = bytes(message.data)
     if "compressedDepth" not in message.format:
         return _png(data, source)
-    if "rvl" in message.format:
-        raise InputError(f"{source}: compressed by RVL; record with compressedDepth format png, or raw")
-    _, scale, offset = PACKED_HEADER.unpack_from(data)
-    values = _png(data[PACKED_HEADER.size :], source)
-    if not message.format.startswith("32FC1"):
-        return values
-    steps = values.astype(np.float32)
-    depth = np.float32(scale) / np.where(steps > 0, steps - np.float32(offset), 1)
-    return np.where(steps > 0, depth, 0).astype(np.float32)
+    if "rvl" in message.format or message.format.startswith("32FC1"):
+        raise InputError(f"{source}: {message.format}; record 16UC1 with compressedDepth format png, or raw")
+    return _png(data[PACKED_HEADER:], source)
 
 
 def _png(data: bytes, source: str) -> np.ndarray:

@@ -45,15 +45,6 @@ def test_rows_may_be_padded(tmp_path: Path) -> None:
     np.testing.assert_array_equal(frame.values, DEPTH)
 
 
-def test_compressed_floats_are_unpacked(tmp_path: Path) -> None:
-    """As compressed_depth_image_transport packs them: A / depth + B in steps."""
-    scale, offset = 1000.0, -3.5
-    steps = np.where(METRES > 0, np.rint(scale / np.where(METRES > 0, METRES, 1) + offset), 0).astype(np.uint16)
-    message = compressed(steps, "32FC1; compressedDepth png", (0, scale, offset))
-    (frame,) = read(bag(tmp_path / "bag.mcap", CALIBRATED, (f"{RECT}/compressedDepth", message)))
-    np.testing.assert_allclose(metric_depth(frame, frame.unit or 1.0), METRES, atol=1e-3)
-
-
 def test_frames_are_taken_in_order(tmp_path: Path) -> None:
     messages = [(RECT, image(DEPTH + np.uint16(n))) for n in range(5)]
     path = bag(tmp_path / "bag.mcap", CALIBRATED, *messages)
@@ -91,7 +82,11 @@ REFUSED: dict[str, tuple[list[tuple[str, dict[str, Any]]], str]] = {
     "not calibrated": ([(f"{FOLDER}/camera_info", info(k=[0.0] * 9)), (RECT, image())], "not calibrated"),
     "short": ([CALIBRATED, (RECT, image(data=b"1234"))], "4 bytes for 640 x 480"),
     "narrow steps": ([CALIBRATED, (RECT, image(step=8))], "steps of 8"),
-    "rvl": ([CALIBRATED, (f"{RECT}/compressedDepth", compressed(form="16UC1; compressedDepth rvl"))], "RVL"),
+    "rvl": ([CALIBRATED, (f"{RECT}/compressedDepth", compressed(form="16UC1; compressedDepth rvl"))], "rvl"),
+    "packed floats": (
+        [CALIBRATED, (f"{RECT}/compressedDepth", compressed(form="32FC1; compressedDepth png"))],
+        "16UC1",
+    ),
     "8 bits": ([CALIBRATED, (f"{RECT}/compressedDepth", compressed(DEPTH.astype(np.uint8)))], "16 bits of grey"),
 }
 
@@ -179,12 +174,6 @@ def test_a_calibration_belongs_to_a_topic_by_its_name(tmp_path: Path) -> None:
             read(bag(tmp_path / "bag.mcap", (name, info()), ("/depth", image())))
 
 
-def test_a_recording_without_chunks_is_whole(tmp_path: Path) -> None:
-    path = bag(tmp_path / "bag.mcap", CALIBRATED, (RECT, image()))
-    rewritten(path, tmp_path / "plain.mcap", use_chunking=False)
-    np.testing.assert_array_equal(read(tmp_path / "plain.mcap")[0].values, DEPTH)
-
-
 def test_messages_without_a_schema_are_named(tmp_path: Path) -> None:
     with open(tmp_path / "bare.mcap", "wb") as out:
         writer = McapWriter(out)
@@ -205,15 +194,11 @@ def test_other_encodings_are_named_and_not_called_damaged(tmp_path: Path, encodi
 
 
 def rewritten(
-    source: Path,
-    target: Path,
-    use_chunking: bool = True,
-    message_encoding: str | None = None,
-    schema_encoding: str | None = None,
+    source: Path, target: Path, message_encoding: str | None = None, schema_encoding: str | None = None
 ) -> None:
     """Write the messages of a recording in another way."""
     with open(source, "rb") as file, open(target, "wb") as out:
-        writer = McapWriter(out, use_chunking=use_chunking, compression=CompressionType.NONE)
+        writer = McapWriter(out, compression=CompressionType.NONE)
         writer.start("ros2")
         channels: dict[int, int] = {}
         for schema, channel, message in make_reader(file).iter_messages():

@@ -1,18 +1,16 @@
-"""Reading 3MF files: the core specification with its production extension, and nothing that a slicer adds.
+"""Reading 3MF files: the core specification, and nothing that a slicer adds.
 
-Objects of the build are read with their components and placed; a model may name objects of further model files, each
-in a unit of its own. A volume that a slicer does not print as part of the object, an item that is not printed, a shape
-that is no mesh and an unknown required extension are refused by name.
+Objects of the build are read with their components and placed. Objects in further model files, a volume that a slicer
+does not print as part of the object, an item that is not printed, a shape that is no mesh and an unknown required
+extension are refused by name.
 """
 
 from __future__ import annotations
 
 import io
-import posixpath
 import zipfile
 from collections.abc import Iterator
-from dataclasses import dataclass, field
-from typing import Any
+from typing import IO, Any, NamedTuple
 from urllib.parse import unquote
 
 import numpy as np
@@ -22,7 +20,6 @@ from kit1000.errors import MeshRefused, shown
 from kit1000.numerics.linear_algebra import determinant, matmul
 from kit1000.parts.files.triangles import TriangleSoup, check_indices, decimal_step, joined
 
-METRES = {"micron": 1e-6, "millimeter": 1e-3, "centimeter": 1e-2, "inch": 0.0254, "foot": 0.3048, "meter": 1.0}
 UNIT_NAMES = {"micron": "micron", "millimeter": "mm", "centimeter": "cm", "inch": "inch", "foot": "foot", "meter": "m"}
 XML_OPTIONS: dict[str, Any] = {"resolve_entities": False, "no_network": True, "huge_tree": True}
 XML_OPTIONS |= {"remove_comments": True}
@@ -40,35 +37,54 @@ ALONE = "export the part alone, as STL or as 3MF"
 def read_threemf(data: bytes, max_faces: int) -> TriangleSoup:
     """The triangles of the build of a 3MF file, at most `max_faces`. A damaged file may raise any exception."""
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        package = _Package(archive)
-        package.check_roles()
-        root = package.model(package.root())
-        if not root.items:
-            raise MeshRefused("its build is empty, as in a project without a plate: save it with the part on the plate")
-        if sum(package.face_count(item) for item in root.items) > max_faces:
-            raise MeshRefused(f"more than {max_faces:,} triangles")
-        placed = [mesh for item in root.items for mesh in package.meshes(item, root)]
-    vertices, faces = joined(placed)
-    return TriangleSoup(vertices, faces, UNIT_NAMES[root.unit], decimal_step(vertices))
+        names = {_plain(name): name for name in archive.namelist()}
+        for name in sorted(names):
+            if name.startswith("metadata/") and name.endswith(CONFIG_ENDS):
+                for element in _xml(archive, names[name]).iter("{*}volume", "{*}part"):
+                    _check_role(element)
+        with archive.open(names[_root_name(archive, names)]) as file:
+            model = _Model(file)
+    if not model.items:
+        raise MeshRefused("its build is empty, as in a project without a plate: save it with the part on the plate")
+    if sum(model.face_count(item.object_id) for item in model.items) > max_faces:
+        raise MeshRefused(f"more than {max_faces:,} triangles")
+    vertices, faces = joined([mesh for item in model.items for mesh in model.meshes(item)])
+    return TriangleSoup(vertices, faces, UNIT_NAMES[model.unit], decimal_step(vertices))
 
 
-@dataclass(frozen=True, eq=False)
-class _Reference:
+def _root_name(archive: zipfile.ZipFile, names: dict[str, str]) -> str:
+    """The plain name of the root model: the one that the relationships name, else the usual or the only one."""
+    for element in _xml(archive, names["_rels/.rels"]) if "_rels/.rels" in names else ():
+        if element.get("Type", "").lower().endswith("/3dmodel"):
+            target = element.get("Target", "")
+            if _plain(target) not in names:
+                raise MeshRefused(f"not readable as 3MF: names {shown(target[:80])}, which is not in the archive")
+            return _plain(target)
+    models = sorted(name for name in names if name.endswith(".model"))
+    if not models:
+        raise MeshRefused("not readable as 3MF: no model file in the archive")
+    return "3d/3dmodel.model" if "3d/3dmodel.model" in models else models[0]
+
+
+def _xml(archive: zipfile.ZipFile, name: str) -> Any:
+    """The root element of a file."""
+    with archive.open(name) as file:
+        return etree.parse(file, etree.XMLParser(**XML_OPTIONS)).getroot()
+
+
+class _Reference(NamedTuple):
     """A component of an object, or an item of the build."""
 
-    path: str
-    """Model file, by its plain name."""
     object_id: str
     transform: np.ndarray
-    """(4, 3): a row vector (x, y, z, 1) is multiplied from the left; in the unit of the model with the reference."""
+    """(4, 3): a row vector (x, y, z, 1) is multiplied from the left."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Object:
+class _Object(NamedTuple):
     """A mesh, an assembly of components, or both."""
 
     vertices: np.ndarray
-    """(n, 3) in the unit of its model."""
+    """(n, 3)"""
     faces: np.ndarray
     """(m, 3) int64"""
     components: list[_Reference]
@@ -76,125 +92,53 @@ class _Object:
     """Why it cannot be part of the build."""
 
 
-@dataclass(eq=False)
 class _Model:
-    """A model file."""
+    """A model file; lengths are in its unit."""
 
-    unit: str = "millimeter"
-    objects: dict[str, _Object] = field(default_factory=dict)
-    items: list[_Reference] = field(default_factory=list)
+    def __init__(self, file: IO[bytes]) -> None:
+        self.unit = "millimeter"
+        self.objects: dict[str, _Object] = {}
+        self.items: list[_Reference] = []
+        self.counts: dict[str, int] = {}
+        """Faces of each object with its components."""
+        for _, element in etree.iterparse(file, tag=("{*}object", "{*}build", "{*}model"), **XML_OPTIONS):
+            kind = etree.QName(element).localname
+            if kind == "object":
+                self.objects[element.attrib["id"]] = _object(element)
+                element.clear()
+            elif kind == "build":
+                items = list(element.iterfind("{*}item"))
+                if any(_attributes(item).get("printable", "1").lower() not in TRUE for item in items):
+                    raise MeshRefused(f'holds an item that is not printed (printable="0"): {ALONE}')
+                self.items = list(map(_reference, items))
+            else:
+                _check_required(element)
+                self.unit = element.get("unit", "millimeter").lower()
+                if self.unit not in UNIT_NAMES:
+                    raise MeshRefused(f"not readable as 3MF: unknown unit {shown(self.unit[:40])!r}")
 
-
-class _Package:
-    """The archive: its files by name, whatever their case and percent-encoding, and its models once they are read."""
-
-    def __init__(self, archive: zipfile.ZipFile) -> None:
-        self.archive = archive
-        self.names = {_plain(name): name for name in archive.namelist()}
-        self.models: dict[str, _Model] = {}
-        self.counts: dict[tuple[str, str], int] = {}
-
-    def root(self) -> str:
-        """The plain name of the root model: the one that the relationships name, else the usual or the only one."""
-        relationships = self._xml("_rels/.rels") if "_rels/.rels" in self.names else ()
-        for element in relationships:
-            if element.get("Type", "").lower().endswith("/3dmodel"):
-                return self.located(element.get("Target", ""), "")
-        models = sorted(name for name in self.names if name.endswith(".model"))
-        if not models:
-            raise MeshRefused("not readable as 3MF: no model file in the archive")
-        return "3d/3dmodel.model" if "3d/3dmodel.model" in models else models[0]
-
-    def located(self, address: str, source: str) -> str:
-        """The plain name of a file that another one names: absolute, or else beside that file."""
-        name = _plain(address)
-        beside = _plain(posixpath.normpath(posixpath.join(posixpath.dirname(source), unquote(address))))
-        found = name if address.startswith("/") or name in self.names else beside
-        if found not in self.names:
-            raise MeshRefused(f"not readable as 3MF: names {shown(name[:80])}, which is not in the archive")
-        return found
-
-    def check_roles(self) -> None:
-        """Raise MeshRefused if the configuration of a slicer gives a volume another role than that of a part."""
-        for name in sorted(self.names):
-            if name.startswith("metadata/") and name.endswith(CONFIG_ENDS):
-                for element in self._xml(name).iter("{*}volume", "{*}part"):
-                    _check_role(element)
-
-    def model(self, path: str) -> _Model:
-        """A model by its plain name."""
-        if path not in self.models:
-            model = self.models[path] = _Model()
-            with self.archive.open(self.names[path]) as file:
-                for _, element in etree.iterparse(file, tag=("{*}object", "{*}build", "{*}model"), **XML_OPTIONS):
-                    self._add(model, element, path)
-        return self.models[path]
-
-    def _add(self, model: _Model, element: Any, path: str) -> None:
-        kind = etree.QName(element).localname
-        if kind == "object":
-            model.objects[element.attrib["id"]] = self._object(element, path)
-            element.clear()
-        elif kind == "build":
-            items = list(element.iterfind("{*}item"))
-            if any(_attributes(item).get("printable", "1").lower() not in TRUE for item in items):
-                raise MeshRefused(f'holds an item that is not printed (printable="0"): {ALONE}')
-            model.items = [self._reference(item, path) for item in items]
-        else:
-            _check_required(element, path)
-            model.unit = element.get("unit", "millimeter").lower()
-            if model.unit not in METRES:
-                raise MeshRefused(f"not readable as 3MF: unknown unit {shown(model.unit[:40])!r}")
-
-    def _object(self, element: Any, path: str) -> _Object:
-        mesh = element.find("{*}mesh")
-        vertices, faces = np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
-        if mesh is not None:
-            corners = [[v.attrib[axis] for axis in "xyz"] for v in mesh.iterfind("{*}vertices/{*}vertex")]
-            found = [[t.attrib[k] for k in ("v1", "v2", "v3")] for t in mesh.iterfind("{*}triangles/{*}triangle")]
-            vertices = np.array(corners, dtype=np.float64).reshape(-1, 3)
-            faces = np.array(found, dtype=np.int64).reshape(-1, 3)
-            check_indices(faces, len(vertices), "3MF")
-        components = [self._reference(each, path) for each in element.iterfind("{*}components/{*}component")]
-        return _Object(vertices, faces, components, _object_fault(element))
-
-    def _reference(self, element: Any, path: str) -> _Reference:
-        attributes = _attributes(element)
-        place = self.located(attributes["path"], path) if "path" in attributes else path
-        transform = np.array(attributes.get("transform", IDENTITY).split(), dtype=np.float64).reshape(4, 3)
-        return _Reference(place, element.attrib["objectid"], transform)
-
-    def named(self, reference: _Reference) -> _Object:
-        """The object of a reference. Raises MeshRefused if it is missing, or if it is no plain mesh."""
-        found = self.model(reference.path).objects.get(reference.object_id)
+    def named(self, object_id: str) -> _Object:
+        """An object. Raises MeshRefused if it is missing, or if it is no plain mesh."""
+        found, name = self.objects.get(object_id), shown(object_id[:20])
         if found is None:
-            where = f"{shown(reference.object_id[:20])} in {shown(reference.path[:80])}"
-            raise MeshRefused(f"not readable as 3MF: no object {where}")
+            raise MeshRefused(f"not readable as 3MF: no object {name} in its model")
         if found.fault is not None:
-            raise MeshRefused(f"object {shown(reference.object_id[:20])} {found.fault}")
+            raise MeshRefused(f"object {name} {found.fault}")
         return found
 
-    def face_count(self, reference: _Reference, depth: int = 0) -> int:
+    def face_count(self, object_id: str, depth: int = 0) -> int:
         """Number of faces of an object with all its components, each instance counted, before any is made."""
         if depth > MAX_DEPTH:
             raise MeshRefused(f"not readable as 3MF: components nested more than {MAX_DEPTH} deep")
-        key = reference.path, reference.object_id
-        if key not in self.counts:
-            named = self.named(reference)
-            inner = sum(self.face_count(component, depth + 1) for component in named.components)
-            self.counts[key] = max(len(named.faces) + inner, 1)
-        return self.counts[key]
+        if object_id not in self.counts:
+            named = self.named(object_id)
+            inner = sum(self.face_count(component.object_id, depth + 1) for component in named.components)
+            self.counts[object_id] = max(len(named.faces) + inner, 1)
+        return self.counts[object_id]
 
-    def meshes(
-        self, reference: _Reference, source: _Model, outer: np.ndarray | None = None
-    ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """The placed meshes (vertices, faces) of a reference in a model, in the unit of the root model.
-
-        outer: (4, 3) from the unit of the model with the reference to that of the root model; None for the root.
-        """
-        model, named = self.model(reference.path), self.named(reference)
-        ratio = METRES[model.unit] / METRES[source.unit]
-        transform = np.concatenate([reference.transform[:3] * ratio, reference.transform[3:]])
+    def meshes(self, reference: _Reference, outer: np.ndarray | None = None) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """The placed meshes (vertices, faces) of a reference. outer: (4, 3) of the object that it stands in."""
+        named, transform = self.named(reference.object_id), reference.transform
         if outer is not None:
             moved = matmul(transform[3:], outer[:3]) + outer[3]
             transform = np.concatenate([matmul(transform[:3], outer[:3]), moved])
@@ -202,12 +146,28 @@ class _Package:
             faces = named.faces if determinant(transform[:3]) >= 0 else named.faces[:, ::-1]
             yield matmul(named.vertices, transform[:3]) + transform[3], faces
         for component in named.components:
-            yield from self.meshes(component, model, transform)
+            yield from self.meshes(component, transform)
 
-    def _xml(self, name: str) -> Any:
-        """The root element of a file by its plain name."""
-        with self.archive.open(self.names[name]) as file:
-            return etree.parse(file, etree.XMLParser(**XML_OPTIONS)).getroot()
+
+def _object(element: Any) -> _Object:
+    mesh = element.find("{*}mesh")
+    vertices, faces = np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
+    if mesh is not None:
+        corners = [[v.attrib[axis] for axis in "xyz"] for v in mesh.iterfind("{*}vertices/{*}vertex")]
+        found = [[t.attrib[k] for k in ("v1", "v2", "v3")] for t in mesh.iterfind("{*}triangles/{*}triangle")]
+        vertices = np.array(corners, dtype=np.float64).reshape(-1, 3)
+        faces = np.array(found, dtype=np.int64).reshape(-1, 3)
+        check_indices(faces, len(vertices), "3MF")
+    components = [_reference(each) for each in element.iterfind("{*}components/{*}component")]
+    return _Object(vertices, faces, components, _object_fault(element))
+
+
+def _reference(element: Any) -> _Reference:
+    attributes = _attributes(element)
+    if "path" in attributes:
+        raise MeshRefused(f"holds objects in further model files ({shown(attributes['path'][:80])}): {ALONE}")
+    transform = np.array(attributes.get("transform", IDENTITY).split(), dtype=np.float64).reshape(4, 3)
+    return _Reference(element.attrib["objectid"], transform)
 
 
 def _plain(name: str) -> str:
@@ -230,13 +190,13 @@ def _check_role(element: Any) -> None:
         raise MeshRefused(f"holds a volume of the type {kind}, which a slicer does not print as a part: {ALONE}")
 
 
-def _check_required(model: Any, path: str) -> None:
+def _check_required(model: Any) -> None:
     """Raise MeshRefused if a model element requires an extension that is not known here."""
     for prefix in model.get("requiredextensions", "").split():
         address = model.nsmap.get(prefix) or "not declared"
         if not any(f"/{word}/" in address for word in HARMLESS_EXTENSIONS) or "/alternatives/" in address:
             name = f"{shown(prefix[:40])} ({shown(address[:120])})"
-            raise MeshRefused(f"{shown(path[:80])} requires the 3MF extension {name}, which is not read: {ALONE}")
+            raise MeshRefused(f"requires the 3MF extension {name}, which is not read: {ALONE}")
 
 
 def _object_fault(element: Any) -> str | None:
