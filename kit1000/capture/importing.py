@@ -45,13 +45,6 @@ def import_scenes(options: ImportOptions) -> list[str]:
     return lines
 
 
-def default_folder(sources: Sequence[Path]) -> Path:
-    """The folder beside the first source that an import writes to if none is named."""
-    if not sources:
-        raise InputError("SOURCE: expected a depth image or a recording")
-    return sources[0].with_name(f"{sources[0].stem}-scene")
-
-
 def imported_scenes(options: ImportOptions) -> list[OwnScene]:
     """The scenes of an import, before they are written."""
     groups = read_groups(options.sources, options)
@@ -103,8 +96,6 @@ def _poses(options: ImportOptions, images: int) -> Sequence[Path | None]:
 
 def _check(options: ImportOptions) -> None:
     """Raise InputError for options that cannot be, before anything is read."""
-    if not options.sources:
-        raise InputError("SOURCE: expected a depth image or a recording")
     check_output(options.out)
     if options.frames < 1 or options.first < 0:
         raise InputError("--frames: expected 1 or more, --first: 0 or more")

@@ -94,7 +94,10 @@ def own_scene(
         InputError: in one line, if the image shows no table or no bodies on it, or if a stated value does not fit it.
     """
     source, first = frames[0].source, frames[0]
-    known = _intrinsics_of(first, intrinsics)
+    known = intrinsics or first.intrinsics
+    if known is None:
+        advice = "record CameraInfo too, or give --intrinsics FILE, or fx fy cx cy"
+        raise InputError(f"{source}: no intrinsics beside it: {advice}")
     stated = stated_unit(first, known, options.depth_scale, options.device)
     unit = stated or assumed_unit(first)
     image, table = _image_and_table(frames, known, unit)
@@ -115,16 +118,6 @@ def own_scene(
         labels[body.mask] = ASSEMBLY_LABEL if number == 0 else FIRST_PART_LABEL + number - 1
     view = View(image.camera, world.world_from_camera, on_depth_grid(image.depth))
     return OwnScene(source, table, tuple(chosen), world, LabelledDepth(view, labels), facts, known.source)
-
-
-def _intrinsics_of(frame: DepthFrame, given: Intrinsics | None) -> Intrinsics:
-    """The given intrinsics, else those that came with a frame."""
-    known = given or frame.intrinsics
-    if known is None:
-        raise InputError(
-            f"{frame.source}: no intrinsics beside it: record CameraInfo too, or give --intrinsics FILE, or fx fy cx cy"
-        )
-    return known
 
 
 def _image_and_table(frames: Sequence[DepthFrame], known: Intrinsics, unit: float) -> tuple[PinholeImage, Table]:

@@ -63,7 +63,6 @@ def check_size(scenes: Sequence[OwnScene], sides: Sequence[float]) -> str:
 
     Raises InputError if no body has these sides: then intrinsics or units are wrong.
     """
-    check_sides(sides)
     wanted = " x ".join(f"{1e3 * side:.0f}" for side in sides)
     best, closest = float("inf"), None
     for scene in scenes:

@@ -28,6 +28,11 @@ def need_truth(data: Path, command: str) -> None:
         raise InputError(f"{data}: own scenes, without ground truth, which {command} needs; kit1000 label adds it")
 
 
+def default_folder(source: Path) -> Path:
+    """The folder beside a source that an import writes to if none is named."""
+    return source.with_name(f"{source.stem}-scene")
+
+
 @dataclass(frozen=True, kw_only=True)
 class OwnImages:
     """Options that describe own depth images and the camera."""
@@ -97,9 +102,9 @@ class ImportImages(OwnImages):
 
     def run(self) -> int:
         """Import, print the report and the folder."""
-        from kit1000.capture.importing import default_folder, import_scenes
+        from kit1000.capture.importing import import_scenes
 
-        out = self.out or default_folder(self.sources)
+        out = self.out or default_folder(self.sources[0])
         for line in import_scenes(self.asked(self.sources, out, self.kit, self.licence, self.one_scene)):
             print(line)
         print(f"{out}: open it with kit1000 edit {out}")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from kit1000.cli.capture import OwnImages, need_truth
+from kit1000.cli.capture import OwnImages, default_folder, need_truth
 from kit1000.cli.command_line import check_least
 from kit1000.cli.labels import known_kits
 from kit1000.cli.options import Folder, OptionalId, OptionalInt, OptionalName, OptionalPath, optional
@@ -195,7 +195,7 @@ class Edit(OwnImages):
             if given:
                 raise InputError(f"{given[0]}: is for own depth images; {self.data} is a folder of scenes")
             return self.data, self.out or Path("edits")
-        from kit1000.capture.importing import default_folder, import_scenes
+        from kit1000.capture.importing import import_scenes
 
         if self.sensor == "ideal":
             raise InputError("--sensor ideal: no camera is; expected d415 or photoneo of an own image")
@@ -204,7 +204,7 @@ class Edit(OwnImages):
         stated = {mount.kit.slot.clearance for mount in kits.assembly.mounts} if kits else set()
         if self.clearance_mm is None and len(stated) == 1:
             own = replace(own, clearance_mm=1e3 * stated.pop())
-        folder = self.out or default_folder((self.data,))
+        folder = self.out or default_folder(self.data)
         if _was_imported(folder, self.data):
             print(f"{folder}: imported before; delete it to import {self.data} again")
             return folder, folder.with_name(f"{folder.name}-edits")

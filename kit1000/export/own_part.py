@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -98,38 +99,26 @@ def make_kits(
     check_output(out, REPORT, BEGUN)
     write_bytes(out / BEGUN, b"")
     (out / REPORT).unlink(missing_ok=True)
-    jobs = [_KitJob(path, out, name, options) for path, name in zip(paths, folder_names(paths), strict=True)]
-    jobs.sort(key=lambda job: job.path.stat().st_size if job.path.is_file() else 0, reverse=True)
+    named = list(zip(folder_names(paths), paths, strict=True))
+    named.sort(key=lambda pair: pair[1].stat().st_size if pair[1].is_file() else 0, reverse=True)
     reports: dict[str, dict[str, Any] | str] = {}
-    with local_engine(min(workers or usable_cores(), len(jobs))) as run:
-        for name, report in run(_KitJob.run, jobs):
+    with local_engine(min(workers or usable_cores(), len(named))) as run:
+        for name, report in run(partial(_kit_or_reason, out, options), named):
             reports[name] = report
             yield name, report
     write_json(out / REPORT, dict(sorted(reports.items())))
     (out / BEGUN).unlink()
 
 
-@dataclass(frozen=True)
-class _KitJob:
-    """One of several files to make kits for."""
-
-    path: Path
-    out: Path
-    name: str
-    """Folder of the file in `out`."""
-    options: KitOptions
-
-    def __str__(self) -> str:
-        return str(self.path)
-
-    def run(self) -> tuple[str, dict[str, Any] | str]:
-        """The name of the folder, and the report or why there is no kit."""
-        try:
-            return self.name, make_kit_from_file(self.path, self.out / self.name, self.options)
-        except (InputError, InexactKit) as refusal:
-            return self.name, str(refusal)
-        except Exception as error:  # one file may trigger an unforeseen case: it is reported and the others get kits
-            return self.name, str(internal_error(str(self.path), error))
+def _kit_or_reason(out: Path, options: KitOptions, named: tuple[str, Path]) -> tuple[str, dict[str, Any] | str]:
+    """The name of a folder of `out`, and the report or why there is no kit. named: that folder, and the mesh file."""
+    name, path = named
+    try:
+        return name, make_kit_from_file(path, out / name, options)
+    except (InputError, InexactKit) as refusal:
+        return name, str(refusal)
+    except Exception as error:  # one file may trigger an unforeseen case: it is reported and the others get kits
+        return name, str(internal_error(str(path), error))
 
 
 def folder_names(paths: Sequence[Path]) -> list[str]:

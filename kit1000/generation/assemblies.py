@@ -78,10 +78,10 @@ def _place_kits(job: AssemblyJob, members: list[Member]) -> tuple[Assembly, list
     redraws: list[str] = []
     for kits in range(len(members), 0, -1):
         for _ in range(MAX_ATTEMPTS):
-            draw = draw_assembly_of(job.preset, job.seed, job.assembly_id, kits, len(redraws))
-            ordered = [members[i] for i in draw.order]
+            order, plan = draw_assembly_of(job.preset, job.seed, job.assembly_id, kits, len(redraws))
+            ordered = [members[i] for i in order]
             try:
-                assembly = build_assembly(job.assembly_id, [member.kit for member in ordered], draw.placement)
+                assembly = build_assembly(job.assembly_id, [member.kit for member in ordered], plan)
                 check_assembly(assembly, {member.part.id: member.part for member in ordered})
                 return assembly, redraws
             except Redraw as refusal:

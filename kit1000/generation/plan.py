@@ -61,15 +61,6 @@ class Sources:
         return cls({path.relative_to(folder).as_posix(): path for path in absolute}, unit)
 
 
-@dataclass(frozen=True)
-class AssemblyDraw:
-    """One attempt at an assembly."""
-
-    order: np.ndarray
-    """(n,) int: index of the kit at each place; order[0] is the base."""
-    placement: AssemblyPlan
-
-
 def plan_head(preset: Preset, seed: int, sources: Sources | None = None) -> dict[str, Any]:
     """The entries of a plan that are known before any mesh file is tried; mesh files have their SHA-256.
 
@@ -121,15 +112,15 @@ def file_order(seed: int, sources: Sources) -> list[str]:
     return [names[i] for i in stream(seed, "sources").permutation(len(names))]
 
 
-def draw_assembly_of(preset: Preset, seed: int, assembly_id: str, kits: int, attempt: int) -> AssemblyDraw:
-    """One attempt at placing a number of kits."""
+def draw_assembly_of(
+    preset: Preset, seed: int, assembly_id: str, kits: int, attempt: int
+) -> tuple[np.ndarray, AssemblyPlan]:
+    """One attempt at placing a number of kits: (n,) int the kit at each place, the base first; and how they stand."""
     rng = stream(seed, "assembly", assembly_id, attempt)
-    least, most = np.radians(preset.tilt_deg)
+    least, most = map(float, np.radians(preset.tilt_deg))
     order = rng.permutation(kits)
     brackets = tuple(float(np.radians(tilt)) for tilt in preset.brackets_deg)
-    return AssemblyDraw(
-        order, draw_assembly(rng, kits, preset.level_base, side_tilt=(float(least), float(most)), brackets=brackets)
-    )
+    return order, draw_assembly(rng, kits, preset.level_base, (least, most), brackets)
 
 
 def family_weights(preset: Preset, split: str) -> dict[str, float]:

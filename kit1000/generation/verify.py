@@ -109,8 +109,8 @@ def _scene_differences(geometry: Geometry, plan: dict[str, Any], scene_id: str) 
         if not (record["part"].items() <= rows[0].items() and record["kit"].items() <= rows[1].items()):
             yield f"part {kit_id}: another row"
         yield from (name for name, digest in record["files"].items() if geometry.summary["files"].get(name) != digest)
-    draw = draw_assembly_of(preset, plan["seed"], row["assembly"], len(pairs), stored["attempt"])
-    assembly = build_assembly(row["assembly"], [kit for _, kit in pairs.values()], draw.placement)
+    _, placement = draw_assembly_of(preset, plan["seed"], row["assembly"], len(pairs), stored["attempt"])
+    assembly = build_assembly(row["assembly"], [kit for _, kit in pairs.values()], placement)
     if not assembly_row(assembly).items() <= stored.items():
         yield f"assembly {assembly.id}: another row"
     parts = {part.id: part for part, _ in pairs.values()}

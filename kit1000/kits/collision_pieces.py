@@ -20,6 +20,7 @@ from scipy.spatial import ConvexHull
 from kit1000.kits.convex_pieces import TOLERANCE, overlapping_prisms
 from kit1000.mesh import Mesh, convex_hull, even_points, mesh_from_solid, solid_from_mesh
 from kit1000.numerics.linear_algebra import matmul
+from kit1000.parts.files.triangle_queries import point_distances
 from kit1000.pose import Pose
 from kit1000.values import Kit, Slot
 
@@ -86,10 +87,6 @@ def clearance_left(slot: Slot, part: Sequence[Mesh], kit: Sequence[Mesh]) -> flo
 def union_of(pieces: Sequence[Mesh]) -> Manifold:
     """The exact union of closed meshes."""
     return Manifold.batch_boolean([solid_from_mesh(piece) for piece in pieces], OpType.Add)
-
-
-def _is_thick(solid: Manifold) -> bool:
-    return solid.volume() > FILM * solid.surface_area()
 
 
 # --- joining ------------------------------------------------------------------------------------------------------
@@ -190,7 +187,7 @@ def _exceeds(hull: Piece, body: Manifold, tolerance: float) -> bool:
     """Whether some point of a hull is farther than a tolerance [m] from a solid."""
     if hull.volume - body.volume() > tolerance * hull.area:
         return True  # on average already
-    parts = [part for part in (hull.solid - body).decompose() if _is_thick(part)]
+    parts = [part for part in (hull.solid - body).decompose() if part.volume() > FILM * part.surface_area()]
     if any(2 * part.volume() > tolerance * part.surface_area() for part in parts):
         return True  # the mean thickness of a sheet
     return any(_depth(hull, part) > tolerance for part in parts)
@@ -204,19 +201,9 @@ def _depth(hull: Piece, excess: Manifold) -> float:
     if outer.all() or not outer.any():
         return 0.0
     points, _ = even_points(mesh.triangles[outer], int(np.clip(mesh.areas[outer].sum() / 1e-6, *SAMPLES)))
-    return float(_distances(points, mesh.triangles[~outer]).max())
-
-
-def _distances(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """(n,) [m] from points (n, 3) to the nearest of triangles (m, 3, 3)."""
-    edges = np.roll(triangles, -1, axis=1) - triangles
-    relative = points[:, None, None] - triangles
-    share = np.clip((relative * edges).sum(-1) / np.maximum((edges * edges).sum(-1), 1e-30), 0, 1)
-    to_edge = np.linalg.norm(relative - share[..., None] * edges, axis=-1).min(2)
-    normal = np.cross(edges[:, 0], edges[:, 1])
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
-    above = ((np.cross(edges, relative) * normal[:, None]).sum(-1) >= 0).all(2)
-    return np.where(above, np.abs((relative[:, :, 0] * normal).sum(-1)), to_edge).min(1)
+    others = mesh.triangles[~outer]
+    apart = point_distances(np.repeat(points, len(others), axis=0), np.tile(others, (len(points), 1, 1)))
+    return float(apart.reshape(len(points), -1).min(1).max())
 
 
 def _vertices(solid: Manifold) -> np.ndarray:

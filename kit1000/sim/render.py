@@ -6,8 +6,9 @@ optical axis. The image does not depend on the number of threads.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -82,33 +83,25 @@ def render(
         band = slice(top, top + BAND_ROWS)
         raster.resolve_band(inverse_depth, nearest_face, body_of, first_of, depth[band], ids[band], faces[band])
 
-    with _Workers(threads) as workers:
-        projected = workers.map(project, zip(bodies, first_of[:-1].tolist(), strict=True))
+    with _workers(threads) as spread:
+        projected = list(spread(project, zip(bodies, first_of[:-1].tolist(), strict=True)))
         chunks = [(body, start) for body in projected for start in range(0, len(body.faces), CHUNK_FACES)]
-        batches = [batch for group in workers.map(prepare, chunks) for batch in group]
-        workers.map(fill, range(0, camera.height, BAND_ROWS))
+        batches = [batch for group in spread(prepare, chunks) for batch in group]
+        list(spread(fill, range(0, camera.height, BAND_ROWS)))  # raises what a thread raised
     for array in (depth, ids, faces):
         array.setflags(write=False)
     return RenderedImage(depth, ids, faces)
 
 
-class _Workers:
-    """A pool of threads for one image (the loops release the interpreter lock); none for a single thread."""
-
-    def __init__(self, threads: int | None) -> None:
-        count = usable_cores() if threads is None else threads
-        self._pool = ThreadPoolExecutor(count) if count > 1 else None
-
-    def map(self, function: Callable, items: Iterable) -> list:
-        """[function(item) for item in items], distributed over the threads."""
-        return list(map(function, items) if self._pool is None else self._pool.map(function, items))
-
-    def __enter__(self) -> _Workers:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._pool is not None:
-            self._pool.shutdown()
+@contextmanager
+def _workers(threads: int | None) -> Iterator[Callable[[Callable, Iterable], Iterable]]:
+    """A `map` over a pool of threads, for the loops release the interpreter lock; over none for a single thread."""
+    count = usable_cores() if threads is None else threads
+    if count <= 1:
+        yield map
+        return
+    with ThreadPoolExecutor(count) as pool:
+        yield pool.map
 
 
 def _project_body(intrinsics: Intrinsics, mesh: Mesh, camera_from_body: Pose, first: int) -> _ProjectedBody:

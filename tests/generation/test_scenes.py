@@ -80,9 +80,9 @@ def sample() -> SceneSample:
     parts = {i: make_part(i, family, drawn[i], 0.045) for i, family in zip(drawn, FAMILY_NAMES, strict=True)}
     kits = [make_kit(part) for part in parts.values()]
     for attempt in range(60):
-        draw = draw_assembly_of(MINI, SEED, TARGET, len(kits), attempt)
+        order, plan = draw_assembly_of(MINI, SEED, TARGET, len(kits), attempt)
         try:
-            assembly = build_assembly(TARGET, [kits[i] for i in draw.order], draw.placement)
+            assembly = build_assembly(TARGET, [kits[i] for i in order], plan)
             check_assembly(assembly, parts)
         except Redraw:
             continue

@@ -79,7 +79,7 @@ def read_mesh(path: str | Path, unit: str | None = None, choice: Choice | None =
     if unit is not None and unit not in USER_UNITS:
         raise InputError(f"unit {unit!r}: expected one of {', '.join(USER_UNITS)}")
     soup = read_triangles(path)
-    notes = list(soup.notes)
+    notes: list[str] = []
     used = np.zeros(len(soup.vertices), dtype=bool)
     used[soup.faces] = True
     _check_finite(soup.vertices[used])

@@ -91,12 +91,12 @@ def max_distance(points: np.ndarray, triangles: np.ndarray, reach: float) -> flo
     nearest = np.full(len(points), reach)
     tree = BoxTree(triangles.min(1), triangles.max(1))
     for query, face in tree.overlaps(points - reach, points + reach):
-        np.minimum.at(nearest, query, _distances(points[query], triangles[face]))
+        np.minimum.at(nearest, query, point_distances(points[query], triangles[face]))
     return float(nearest.max(initial=0.0))
 
 
-def _distances(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """(m,) distance of each point (m, 3) to its triangle (m, 3, 3)."""
+def point_distances(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """(m,) distance of each point (m, 3) to its own triangle (m, 3, 3)."""
     normals = _unit_normals(triangles)
     height = np.abs(np.einsum("mc,mc->m", points - triangles[:, 0], normals))
     above = (_inset_distance(points, triangles, normals) >= 0) & normals.any(1)

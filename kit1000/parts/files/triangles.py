@@ -27,8 +27,6 @@ class TriangleSoup:
     """The unit that the file states."""
     step: float = 0.0
     """Distance between two coordinates that the file can tell apart, in its unit; 0 if it is as fine as float64."""
-    notes: tuple[str, ...] = ()
-    """Content of the file that was ignored."""
 
 
 def joined(meshes: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
