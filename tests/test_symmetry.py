@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kit1000 import symmetry
 from kit1000.errors import InputError, ShapeError
 from kit1000.pose import (
     Pose,
@@ -179,11 +178,6 @@ def test_invalid_arguments_are_rejected_by_name() -> None:
     for n in (0, -2, 2.5):
         with pytest.raises(InputError, match="n: expected a whole number"):
             Symmetry.cyclic(n)  # pyright: ignore[reportArgumentType]
-
-
-def test_module_functions_make_the_same_symmetries() -> None:
-    for word in ("none", "cyclic", "dihedral", "free", "free_flipped", "generated", "cube"):
-        assert getattr(symmetry, word) == getattr(Symmetry, word)
 
 
 @pytest.mark.parametrize("again", [lambda s: pickle.loads(pickle.dumps(s)), copy.deepcopy])

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from manifold3d import CrossSection, FillRule
 from scipy.spatial.distance import pdist
 
-from kit1000.errors import InputError, Redraw
+from kit1000.errors import Redraw
 from kit1000.kits.assembly import AssemblyPlan, SidePlate, build_assembly
 from kit1000.mesh import Mesh, defect, solid_from_mesh
 from kit1000.pose import Pose
@@ -113,12 +113,6 @@ def test_a_layout_of_another_scale_is_the_same_draw_with_other_lengths() -> None
     assert other.yaws.tobytes() == one.yaws.tobytes()
     part = as_part(box(60, 60, 60))
     simulate_layout(sample_assembly(), [(part, pairs()[0][1])], draw_layout(stream(0), (UPRIGHT,), scale=1.4))
-
-
-def test_a_part_larger_than_the_drop_points_allow_is_rejected() -> None:
-    part = as_part(box(60, 60, 60))
-    with pytest.raises(InputError, match=r"diagonal of 103\.9 mm"):
-        simulate_layout(sample_assembly(), [(part, pairs()[0][1])], draw_layout(stream(0), (UPRIGHT,)))
 
 
 @given(seed=st.integers(0, 1000))
