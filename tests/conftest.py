@@ -167,6 +167,12 @@ def mini(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return shared / "mini"
 
 
+@pytest.fixture(scope="module")
+def data(mini: Path) -> Dataset:
+    """The same, opened."""
+    return Dataset(mini)
+
+
 @pytest.fixture(scope="session")
 def exact(mini: Path) -> LabelledDepth:
     """The exact image of a scene, which tests of restoration measure by noisy sensors."""

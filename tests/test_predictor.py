@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,11 +17,6 @@ from kit1000.testing.predictors import WORLD_MOTION
 from kit1000.values import Query, TrueGeometry
 
 HALF_TURN = Pose.from_rotvec((0.0, 0.0, np.pi))
-
-
-@pytest.fixture(scope="module")
-def data(mini: Path) -> Dataset:
-    return Dataset(mini)
 
 
 @pytest.fixture(scope="module")

@@ -204,19 +204,6 @@ def test_error_of_a_finite_group_is_the_minimum_over_its_orientations(sym: Symme
 
 
 @pytest.mark.parametrize("sym", FREE, ids=lambda sym: sym.name)
-def test_error_about_a_free_axis_is_the_minimum_over_a_fine_grid(sym: Symmetry) -> None:
-    estimate, truth = random_quaternions(stream(3), 60), random_quaternions(stream(4), 60)
-    step = np.deg2rad(0.1)
-    assert sym.axis is not None
-    turns = quaternion_from_rotvec(np.arange(0, 2 * np.pi, step)[:, None] * sym.axis)
-    group = quaternion_multiply(sym.rotations[:, None], turns).reshape(-1, 4)
-    brute = quaternion_angle(quaternion_multiply(truth[:, None], group), estimate[:, None]).min(axis=1)
-    closed = sym.error(estimate, truth)
-    assert np.all(closed <= brute + ROUNDING)  # no member of the grid is nearer
-    assert np.all(brute <= closed + step / 2)  # and the nearest is at most half a step away
-
-
-@pytest.mark.parametrize("sym", FREE, ids=lambda sym: sym.name)
 def test_error_about_a_free_axis_is_the_angle_between_the_axes(sym: Symmetry) -> None:
     # Another closed form: only the direction of the axis can differ, up to its sign with a flip.
     estimate, truth = random_quaternions(stream(5), 200), random_quaternions(stream(6), 200)
@@ -276,16 +263,6 @@ def test_small_errors_across_a_free_axis_are_exact(truth: np.ndarray, axis: np.n
     assert Symmetry.free_flipped(axis).error(end, truth) == pytest.approx(tilt, abs=ROUNDING)
 
 
-def test_known_errors_in_degrees() -> None:
-    turn = quaternion_from_rotvec([0, 0, np.deg2rad(50)])
-    one = [1, 0, 0, 0]
-    assert np.rad2deg(Symmetry.none().error(turn, one)) == pytest.approx(50)
-    assert np.rad2deg(Symmetry.cyclic(4).error(turn, one)) == pytest.approx(40)
-    assert np.rad2deg(Symmetry.cyclic(4, [1, 0, 0]).error(turn, one)) == pytest.approx(50)
-    assert np.rad2deg(Symmetry.free().error(turn, one)) == pytest.approx(0, abs=1e-12)
-    assert np.rad2deg(Symmetry.free([1, 0, 0]).error(turn, one)) == pytest.approx(50)
-
-
 def test_error_broadcasts_and_rejects_wrong_shapes() -> None:
     sym = Symmetry.cube()
     assert sym.error(np.ones((5, 1, 4)), np.ones((3, 4))).shape == (5, 3)
@@ -311,9 +288,3 @@ def test_conjugated_is_the_symmetry_of_the_rotated_part(
     assert error == pytest.approx(sym.error(estimate, truth), abs=2 * ROUNDING)
     assert turned.rotations[0].tolist() == [1, 0, 0, 0]
     assert turned.name == sym.name
-
-
-def test_conjugated_moves_a_free_axis() -> None:
-    turned = Symmetry.free([1, 0, 0]).conjugated(quaternion_from_rotvec([0, 0, np.pi / 2]))
-    assert turned.axis is not None
-    assert np.allclose(turned.axis, [0, 1, 0], rtol=0, atol=ROUNDING)

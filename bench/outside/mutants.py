@@ -23,7 +23,7 @@ ROOT = Path(__file__).resolve().parents[2]
 MODULES = {
     "kit1000/metrics/*.py": ("tests/metrics",),
     "kit1000/kits/seating.py": ("tests/kits/test_seating.py", "tests/metrics/test_seating.py"),
-    "kit1000/submission/*.py": ("tests/submission", "tests/benchmark/test_invalid.py"),
+    "kit1000/submission/*.py": ("tests/submission", "tests/benchmark/test_score.py"),
     "kit1000/queries/*.py": ("tests/queries",),
     "benchmark/intervals.py": ("tests/benchmark/test_intervals.py",),
     "benchmark/summary.py": ("tests/benchmark/test_score.py",),

@@ -36,11 +36,6 @@ CONTROLS = [name for name, method in METHODS.items() if method.control]
 
 
 @pytest.fixture(scope="module")
-def data(mini: Path) -> Dataset:
-    return Dataset(mini)
-
-
-@pytest.fixture(scope="module")
 def queries(data: Dataset) -> QueryTruths:
     """All queries of the training split with their ground truth."""
     return [(query, data.truth_of(query)) for query in data.split("train").queries()]

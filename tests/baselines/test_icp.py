@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,11 +22,6 @@ def _needs_open3d() -> None:
         icp.load_open3d()
     except InputError as error:
         pytest.skip(f"Open3D cannot be loaded on this machine: {error}")
-
-
-@pytest.fixture(scope="module")
-def data(mini: Path) -> Dataset:
-    return Dataset(mini)
 
 
 @pytest.fixture(scope="module")

@@ -1,35 +1,44 @@
-"""Intervals: published numbers, a plain reference implementation, and their coverage of a known mean."""
+"""Intervals and comparisons: published numbers, a plain reference, coverage of a known mean, and known differences."""
 
 from __future__ import annotations
 
+import json
 import time
 import tracemalloc
+from dataclasses import asdict, replace
+from math import comb
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import ArrayLike
 from scipy.stats import binomtest
 
-from benchmark import intervals
+from benchmark import compare as module
+from benchmark import intervals, quantities
+from benchmark.compare import bootstrap_p, compare, comparison_text, mcnemar_p
+from benchmark.evaluate import PerQuery
 from benchmark.intervals import ENDS, bootstrap_means, rate_interval, wilson_interval
+from benchmark.report import json_text
+from benchmark.score import Scores
 from kit1000.errors import InputError
 from kit1000.rng import stream
-from tests.samples.mean_intervals import mean_interval
+
+
+def mean_interval(values: ArrayLike, clusters: ArrayLike, **bootstrap: int) -> tuple[float, float]:
+    """95 % interval (lo, hi) of the mean of values (n,); clusters: (n,) labels; bootstrap: draws and seed."""
+    lo, hi = np.quantile(bootstrap_means(np.asarray(values, float)[:, None], [clusters], **bootstrap), ENDS)
+    return float(lo), float(hi)
 
 
 def clustered(rng: np.random.Generator, clusters: int = 60, between: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
     """Values (n,) about 5 in clusters of 1 to 5, with a spread between clusters and one of 0.5 within; their labels."""
     label = np.repeat(np.arange(clusters), rng.integers(1, 6, clusters))
     return 5 + between * rng.standard_normal(clusters)[label] + 0.5 * rng.standard_normal(len(label)), label
-
-
-@pytest.mark.parametrize(
-    ("k", "n", "lo", "hi"),
-    [(50, 50, 92.9, 100), (45, 50, 78.6, 95.7), (900, 1000, 88.0, 91.7), (0, 20, 0, 16.1)],
-)
-def test_wilson_gives_published_numbers(k: int, n: int, lo: float, hi: float) -> None:
-    assert tuple(round(100 * end, 1) for end in wilson_interval(k / n, n)) == (lo, hi)
 
 
 @given(st.integers(1, 5000), st.floats(0, 1))
@@ -178,16 +187,6 @@ def test_the_size_of_a_step_changes_nothing(at_once: int, monkeypatch: pytest.Mo
     assert mean_interval(values, labels) == pytest.approx(whole, rel=1e-12)
 
 
-def test_labels_may_be_text() -> None:
-    values, labels = clustered(np.random.default_rng(8))
-    text = np.array([f"test-s{label:04d}" for label in labels])
-    assert mean_interval(values, text) == mean_interval(values, labels)
-
-
-def test_equal_values_have_an_interval_of_no_width() -> None:
-    assert mean_interval(np.full(9, 2.0), [0, 0, 0, 1, 1, 2, 3, 3, 3]) == (2.0, 2.0)
-
-
 def test_columns_share_their_resamples() -> None:
     values, labels = clustered(np.random.default_rng(10))
     means = bootstrap_means(np.stack([values, 2 * values], axis=1), [labels])
@@ -223,3 +222,220 @@ def test_many_values_take_little_time_and_bounded_memory() -> None:
     many = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert many < 1.1 * few < 2e7
+
+
+TEXT = ("query_id", "track", "scene_id", "assembly_id", "part_id", "rest_mode", "symmetry")
+BITS = ("covered", "seated", "seated_strict", "exact_test", "exact_disagreement", "crowded", "held_out")
+
+
+def rows(n: int = 100, track: str = "snap", **columns: Any) -> PerQuery:
+    """Rows of n queries, all predicted, two per assembly; columns that are not given are 0, False or a dash."""
+    number = np.arange(n)
+    names = {*PerQuery.__dataclass_fields__, *(quantity.key for quantity in quantities.per_query())}
+    made: dict[str, Any] = {name: np.zeros(n) for name in names}
+    made |= {name: np.full(n, "-") for name in TEXT} | {name: np.zeros(n, bool) for name in BITS}
+    made |= {
+        "query_id": np.array([f"test-s{i:04d}-p0-{track}" for i in number]),
+        "track": np.full(n, track),
+        "assembly_id": np.array([f"a{i // 2}" for i in number]),
+        "part_id": np.array([f"p{i}" for i in number]),
+        "covered": np.ones(n, bool),
+        "kits": np.full(n, 2),
+    }
+    return PerQuery.of_columns({**made, **columns})
+
+
+def concatenate(*several: PerQuery) -> PerQuery:
+    columns = [each.columns() for each in several]
+    return PerQuery.of_columns({name: np.concatenate([each[name] for each in columns]) for name in columns[0]})
+
+
+def scored(measured: PerQuery, method: str = "ours", **setting: str) -> Scores:
+    summary = {"method": method, "dataset_id": "abc", "protocol": "kit1000-2026", "split": "test"}
+    summary |= {"manifest": {"masks": "given"}}
+    return Scores(measured, summary | setting)
+
+
+def errors(seed: int, n: int = 100, mean: float = 3.0) -> np.ndarray:
+    """(n,) errors with that mean, correlated within an assembly."""
+    rng = np.random.default_rng(seed)
+    return mean + np.repeat(rng.standard_normal(n // 2), 2) + 0.3 * rng.standard_normal(n)
+
+
+def test_a_method_that_is_better_everywhere_is_reported_so() -> None:
+    a = rows(
+        position_mm=errors(1, mean=2),
+        rotation_deg=errors(2, mean=2),
+        mssd_mm=errors(3, mean=2),
+        seated=np.full(100, True),
+    )
+    b = rows(position_mm=errors(4, mean=9), rotation_deg=errors(5, mean=9), mssd_mm=errors(6, mean=9))
+    found = compare(scored(a), scored(b)).tracks["snap"]
+    for row in found.differences.values():
+        assert row is not None
+        assert row.better == "A"
+        assert row.p < 0.001
+        assert row.ci95[0] <= row.difference <= row.ci95[1]
+    assert all(row and row.better == "B" for row in compare(scored(b), scored(a)).tracks["snap"].differences.values())
+
+
+def test_the_interval_is_that_of_the_paired_differences() -> None:
+    a, b = rows(position_mm=errors(1)), rows(position_mm=errors(2))
+    difference = a.quantities["position_mm"] - b.quantities["position_mm"]
+    row = compare(scored(a), scored(b), draws=500, seed=3).tracks["snap"].differences["position_mm"]
+    assert row is not None
+    assert row.ci95 == mean_interval(difference, a.assembly_id, draws=500, seed=3)
+    assert row.difference == pytest.approx(row.a - row.b) == pytest.approx(np.mean(difference))
+
+
+def test_a_method_does_not_differ_from_itself() -> None:
+    same = scored(rows(position_mm=errors(1), mssd_mm=errors(2), seated=errors(3) > 3))
+    for row in compare(same, same).tracks["snap"].differences.values():
+        assert row is not None
+        assert (row.difference, row.ci95, row.p, row.better) == (0, (0, 0), 1, None)
+
+
+def test_swapping_the_two_flips_every_sign() -> None:
+    a, b = (scored(rows(position_mm=errors(s, mean=s), seated=errors(s) > 3)) for s in (1, 2))
+    there, back = compare(a, b).tracks["snap"].differences, compare(b, a).tracks["snap"].differences
+    for metric, row in there.items():
+        other = back[metric]
+        assert row is not None
+        assert other is not None
+        assert (other.difference, other.p) == (-row.difference, row.p)
+        np.testing.assert_allclose(other.ci95, [-end for end in row.ci95[::-1]], rtol=1e-12, atol=1e-12)
+
+
+def test_only_queries_that_both_predict_count() -> None:
+    position = np.where(np.arange(100) < 10, 1e6, errors(1))
+    a = rows(position_mm=position, covered=np.arange(100) >= 10)
+    b = rows(position_mm=errors(2), covered=np.arange(100) < 95)
+    found = compare(scored(a), scored(b)).tracks["snap"]
+    assert (found.queries, found.predicted_a, found.predicted_b, found.n) == (100, 90, 95, 85)
+    row = found.differences["position_mm"]
+    assert row is not None
+    assert row.a == pytest.approx(position[10:95].mean())
+    assert "85 queries that both predict, of 100; A predicts 90, B 95" in comparison_text(compare(scored(a), scored(b)))
+
+
+def test_no_query_in_common_gives_empty_differences() -> None:
+    half = np.arange(100) < 50
+    found = compare(scored(rows(covered=half)), scored(rows(covered=~half)))
+    assert found.tracks["snap"].n == 0
+    assert set(found.tracks["snap"].differences.values()) == {None}
+    assert "snap: 0 queries that both predict" in comparison_text(found)
+    assert json.loads(json_text(asdict(found)))["tracks"]["snap"]["differences"]["seated"] is None
+
+
+def test_a_method_of_rotations_is_compared_in_rotation_alone() -> None:
+    nothing = np.full(100, np.nan)
+    a = rows(position_mm=nothing, mssd_mm=nothing, rotation_deg=errors(1))
+    found = compare(scored(a), scored(rows(rotation_deg=errors(2, mean=8)))).tracks["snap"].differences
+    assert [metric for metric, row in found.items() if row is not None] == ["rotation_deg"]
+
+
+@pytest.mark.parametrize(("only_a", "only_b"), [(0, 0), (3, 3), (5, 0), (1, 9), (30, 12), (0, 1)])
+def test_mcnemar_equals_the_sum_of_binomial_terms(only_a: int, only_b: int) -> None:
+    n = only_a + only_b
+    tail = sum(comb(n, k) for k in range(min(only_a, only_b) + 1)) / 2**n
+    assert mcnemar_p(only_a, only_b) == pytest.approx(min(1.0, 2 * tail))
+
+
+def test_the_p_value_of_seated_is_mcnemars() -> None:
+    a, b = rows(seated=np.arange(100) < 60), rows(seated=np.arange(100) >= 45)
+    row = compare(scored(a), scored(b)).tracks["snap"].differences["seated"]
+    assert row is not None
+    assert (row.only_a, row.only_b) == (45, 40)
+    assert row.p == mcnemar_p(45, 40)
+    assert row.better is None
+
+
+def test_few_assemblies_are_not_significant_though_mcnemar_counts_many_queries() -> None:
+    assembly = np.repeat(np.arange(4), 25).astype(str)
+    a, b = (rows(seated=assembly == name, assembly_id=assembly) for name in ("0", "none"))
+    row = compare(scored(a), scored(b)).tracks["snap"].differences["seated"]
+    assert row is not None
+    assert row.p < 1e-6
+    assert row.ci95[0] == 0
+    assert row.better is None
+
+
+@pytest.mark.parametrize(
+    ("drawn", "p"),
+    [
+        (np.ones(999), 2 / 1000),
+        (-np.ones(999), 2 / 1000),
+        (np.zeros(999), 1.0),
+        (np.arange(-24, 975), 2 * 26 / 1000),  # 24 below zero, and zero itself
+    ],
+)
+def test_the_p_value_counts_the_rarer_side(drawn: np.ndarray, p: float) -> None:
+    assert bootstrap_p(drawn) == pytest.approx(p)
+
+
+def test_equal_methods_differ_significantly_in_5_of_100_samples() -> None:
+    alarms = 0
+    for world in range(400):
+        a, b = (scored(rows(position_mm=errors(1000 * world + i))) for i in (1, 2))
+        row = compare(a, b, draws=400, seed=world).tracks["snap"].differences["position_mm"]
+        assert row is not None
+        assert (row.p < 0.05) == (row.better is not None) or abs(row.p - 0.05) < 0.006
+        alarms += row.better is not None
+    assert alarms / 400 == pytest.approx(0.05, abs=0.025)
+
+
+def test_tracks_are_those_in_common_and_curves_are_none() -> None:
+    a = scored(concatenate(rows(10), rows(10, "place"), rows(10, "curves")))
+    b = scored(concatenate(rows(10), rows(10, "snap-tilt"), rows(10, "place"), rows(10, "curves")))
+    assert list(compare(a, b).tracks) == ["snap", "place"]
+    assert list(compare(a, b, ["place"]).tracks) == ["place"]
+
+
+def test_a_track_that_one_of_them_lacks_is_refused_with_the_common_ones() -> None:
+    a, b = scored(rows(10)), scored(concatenate(rows(10), rows(10, "place")))
+    with pytest.raises(InputError, match="track 'place': A and B both have snap"):
+        compare(a, b, ["place"])
+    with pytest.raises(InputError, match="no track in common"):
+        compare(a, scored(rows(10, "place")))
+
+
+@pytest.mark.parametrize("key", ["dataset_id", "protocol", "split"])
+def test_scores_of_different_settings_are_refused(key: str) -> None:
+    with pytest.raises(InputError, match=f"{key} is .* of A, other of B"):
+        compare(scored(rows(10)), scored(rows(10), **{key: "other"}))
+
+
+def test_rows_of_different_queries_are_refused() -> None:
+    with pytest.raises(InputError, match="different queries"):
+        compare(scored(rows(10)), scored(rows(12)))
+
+
+def test_the_report_has_the_better_method_the_difference_and_its_p_value() -> None:
+    a = rows(position_mm=errors(1, mean=2), seated=np.arange(100) < 90)
+    b = rows(position_mm=errors(2, mean=9), seated=np.arange(100) < 20)
+    text = comparison_text(compare(scored(a, "registration"), scored(b, "icp")))
+    assert text.startswith("A: registration, masks given\nB: icp, masks given\n")
+    position, rotation, _, seated = text.splitlines()[6:10]
+    assert position.startswith("position mm   ")
+    assert position.endswith("<0.001  A is better by 7.09")
+    assert rotation.endswith("1.000  no significant difference")
+    assert "70.0 [" in seated
+    assert seated.endswith("A is better by 70.0 (70 by A alone, 0 by B alone)")
+    assert max(map(len, text.splitlines())) < 130
+
+
+def test_the_command_scores_both_and_writes_what_it_prints(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    measured = {"a": rows(position_mm=errors(1, mean=2)), "b": rows(position_mm=errors(2, mean=9))}
+    monkeypatch.setattr(module, "Dataset", Path)
+    monkeypatch.setattr(module, "read_valid_submission", lambda folder: SimpleNamespace(name=folder.name))
+    monkeypatch.setattr(
+        module, "score", lambda submission, *_, **__: scored(measured[submission.name], submission.name)
+    )
+    module.run(Path("a"), Path("b"), tmp_path, ("snap",), tmp_path / "a-b.json")
+    found = compare(scored(measured["a"], "a"), scored(measured["b"], "b"))
+    assert capsys.readouterr().out == comparison_text(found) + "\n"
+    written = json.loads((tmp_path / "a-b.json").read_text("utf-8"))
+    assert written["tracks"]["snap"]["differences"]["position_mm"]["better"] == "A"
+    assert (tmp_path / "a-b.json").read_text("utf-8") == json_text(asdict(replace(found)))

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import csv
-import hashlib
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,7 @@ from benchmark.summary import summarise
 from kit1000.metrics import Seatings
 from kit1000.pose import Pose
 from kit1000.submission.manifest import Manifest, write_manifest
-from tests.samples.board import GUESS, PREDICTIONS, SNAPS
+from tests.samples.board import GUESS, PREDICTIONS, SNAPS, provenance
 from tests.samples.submissions import goal_of, made_up, predictions
 
 TOY = Quantity("toy_mm", "Toy error", MILLIMETRE, "A quantity made for this test", "toy", HEADLINE | MEDIAN)
@@ -53,20 +52,7 @@ def scored(manifest: Manifest, shift: float) -> Scores:
     motions = [Pose.from_translation((0, 0, shift)) @ goal_of(truth) for truth in queries.truths]
     rows = evaluate(queries, align(predictions(queries.query_ids, motions), queries))
     protocol = read_protocol()
-    provenance = {
-        "protocol": protocol.name,
-        "status": protocol.status,
-        "metric_versions": dict(protocol.metric_versions),
-        "dataset_id": manifest.dataset_id,
-        "split": "test",
-        "exact": "near",
-        "commit": "0" * 40,
-        "evaluator": "0" * 16,
-        "method": manifest.method,
-        "manifest": asdict(manifest),
-        "predictions_sha256": hashlib.sha256(PREDICTIONS).hexdigest(),
-    }
-    return Scores(rows, provenance | summarise(rows, protocol, False))
+    return Scores(rows, provenance(manifest, protocol) | summarise(rows, protocol, False))
 
 
 @pytest.mark.usefixtures("toy")

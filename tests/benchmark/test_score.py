@@ -1,9 +1,14 @@
-"""Scoring: the ground truth is perfect, a missing prediction counts as no motion, equal input gives equal bytes."""
+"""Scoring: the truth is perfect, what is missing or invalid counts as no motion, equal input gives equal bytes."""
 
 from __future__ import annotations
 
+import csv
 import json
 import math
+import re
+import shutil
+import signal
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -13,10 +18,12 @@ import pytest
 
 from benchmark import evaluate as module
 from benchmark import provenance
+from benchmark.__main__ import main
 from benchmark.evaluate import PerQuery, align, evaluate
 from benchmark.protocol import read_protocol
 from benchmark.queries import ScoredQueries
 from benchmark.report import Grid, json_text, rounded
+from benchmark.rescore import rescore
 from benchmark.score import Scores, read_checked, score
 from benchmark.summary import TITLES, binned, groups, histogram, risk_coverage, summarise
 from kit1000 import Dataset
@@ -25,10 +32,12 @@ from kit1000.metrics import Seatings
 from kit1000.pose import Pose
 from kit1000.queries.tracks import CURVES
 from kit1000.submission import (
+    HEADER,
     Submission,
     check,
     read_predictions,
     read_submission,
+    write_manifest,
     write_predictions,
     write_submission,
 )
@@ -39,21 +48,17 @@ ERRORS = ("position_mm", "rotation_deg", "mssd_mm", "position_plain_mm", "rotati
 
 
 @pytest.fixture(scope="module")
-def dataset(mini: Path) -> Dataset:
-    return Dataset(mini)
-
-
-@pytest.fixture(scope="module")
-def perfect(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Submission:
+def perfect(data: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Submission:
     """The ground truth, through a file."""
     folder = tmp_path_factory.mktemp("submissions") / "truth"
-    predicted(folder, dataset, ground_truth, method="truth", control=True)
+    tracks = ("snap", "snap-tilt", "snap-d415", "snap-photoneo", CURVES)  # of the one test scene of MINI
+    predicted(folder, data, ground_truth, method="truth", control=True, tracks=tracks)
     return read_submission(folder)
 
 
 @pytest.fixture(scope="module")
-def perfect_score(perfect: Submission, dataset: Dataset) -> Scores:
-    return score(perfect, dataset)
+def perfect_score(perfect: Submission, data: Dataset) -> Scores:
+    return score(perfect, data)
 
 
 @pytest.fixture
@@ -130,49 +135,41 @@ def test_a_missing_prediction_counts_as_no_motion(seating_results: None) -> None
     assert summary["seconds"]["mean"] == SECONDS
 
 
-def test_missing_rows_of_a_submission_stay_in_n(perfect: Submission, dataset: Dataset, tmp_path: Path) -> None:
+def test_left_out_queries_are_told_by_the_check_and_stay_in_n(
+    perfect: Submission, data: Dataset, tmp_path: Path
+) -> None:
     chosen = [i for i, query_id in enumerate(perfect.predictions.query_ids) if not query_id.endswith("-snap")]
     some = predictions(
         [perfect.predictions.query_ids[i] for i in chosen], [perfect.predictions.motions[i] for i in chosen]
     )
-    tracks = score(write_submission(tmp_path / "some", perfect.manifest, some), dataset).summary["tracks"]
+    write_submission(tmp_path / "some", perfect.manifest, some)
+    report = check(tmp_path / "some", data.root)
+    assert report.good
+    assert "missing-predictions" in {warning.code for warning in report.warnings}
+    tracks = score(read_checked(tmp_path / "some", data.root, "test"), data).summary["tracks"]
     assert (tracks["snap"]["n"], tracks["snap"]["coverage"], tracks["snap"]["seated"]["rate"]) == (1, 0, 0)
     assert tracks["snap"]["position_mm"]["mean"] > 50
     assert tracks["snap"]["seconds"] is None
     assert tracks["snap-tilt"]["coverage"] == 1
 
 
-def test_left_out_queries_are_told_by_the_check_and_stop_no_score(
-    perfect: Submission, dataset: Dataset, tmp_path: Path
-) -> None:
-    chosen = [i for i, query_id in enumerate(perfect.predictions.query_ids) if not query_id.endswith("-pos0-rot1")]
-    some = predictions(
-        [perfect.predictions.query_ids[i] for i in chosen], [perfect.predictions.motions[i] for i in chosen]
-    )
-    write_submission(tmp_path / "some", manifest(dataset.id, tracks=("snap", CURVES)), some)
-    report = check(tmp_path / "some", dataset.root)
-    assert report.good
-    assert "missing-predictions" in {warning.code for warning in report.warnings}
-    assert len(read_checked(tmp_path / "some", dataset.root, "test").predictions) == len(chosen)
-
-
-def test_the_order_of_rows_does_not_matter(perfect: Submission, dataset: Dataset, perfect_score: Scores) -> None:
+def test_the_order_of_rows_does_not_matter(perfect: Submission, data: Dataset, perfect_score: Scores) -> None:
     order = np.random.default_rng(0).permutation(len(perfect.predictions))
     ids = [perfect.predictions.query_ids[i] for i in order]
     shuffled = predictions(ids, [perfect.predictions.motions[i] for i in order])
-    found = score(replace(perfect, predictions=shuffled), dataset).summary
+    found = score(replace(perfect, predictions=shuffled), data).summary
     assert found["tracks"] == perfect_score.summary["tracks"] | {
         track: row | {"risk_coverage": found["tracks"][track]["risk_coverage"]}
         for track, row in perfect_score.summary["tracks"].items()
     }
 
 
-def test_a_method_of_rotations_has_no_position_errors(dataset: Dataset, tmp_path: Path) -> None:
+def test_a_method_of_rotations_has_no_position_errors(data: Dataset, tmp_path: Path) -> None:
     def rotation_alone(*query: Any) -> Pose:
         return Pose(ground_truth(*query).wxyz, np.zeros(3))
 
-    submission = predicted(tmp_path / "rotation", dataset, rotation_alone, predicts="rotation")
-    summary = score(submission, dataset).summary
+    submission = predicted(tmp_path / "rotation", data, rotation_alone, predicts="rotation")
+    summary = score(submission, data).summary
     row = summary["tracks"]["snap"]
     assert row["rotation_deg"]["mean"] <= 1e-9
     for name in ("position_mm", "mssd_mm", "position_plain_mm", "penetration_mm", "seated", "seated_strict", "beyond"):
@@ -266,14 +263,14 @@ def test_equal_confidence_makes_a_flat_curve(seating_results: None) -> None:
     assert risk_coverage(rows, 20, False)["mssd_mm"] == pytest.approx([rows.quantities["mssd_mm"].mean()] * 20)
 
 
-def test_the_same_input_gives_the_same_bytes(perfect: Submission, dataset: Dataset, perfect_score: Scores) -> None:
-    again = score(perfect, Dataset(dataset.root))
+def test_the_same_input_gives_the_same_bytes(perfect: Submission, data: Dataset, perfect_score: Scores) -> None:
+    again = score(perfect, Dataset(data.root))
     assert json_text(again.summary) == json_text(perfect_score.summary)
 
 
-def test_scores_have_their_provenance(perfect_score: Scores, dataset: Dataset, perfect: Submission) -> None:
+def test_scores_have_their_provenance(perfect_score: Scores, data: Dataset, perfect: Submission) -> None:
     summary = json.loads(json_text(perfect_score.summary))
-    assert summary["dataset_id"] == dataset.id
+    assert summary["dataset_id"] == data.id
     assert (summary["protocol"], summary["status"], summary["split"]) == (PROTOCOL.name, PROTOCOL.status, "test")
     assert summary["metric_versions"] == PROTOCOL.metric_versions
     assert (summary["commit"], summary["evaluator"]) == (provenance.commit(), provenance.evaluator())
@@ -282,37 +279,37 @@ def test_scores_have_their_provenance(perfect_score: Scores, dataset: Dataset, p
     assert len(summary["predictions_sha256"]) == 64
 
 
-def test_other_splits_can_be_scored(dataset: Dataset, tmp_path: Path) -> None:
-    submission = predicted(tmp_path / "val", dataset, ground_truth, splits=("val",))
-    summary = score(submission, dataset, split="val").summary
+def test_other_splits_can_be_scored(data: Dataset, tmp_path: Path) -> None:
+    submission = predicted(tmp_path / "val", data, ground_truth, splits=("val",))
+    summary = score(submission, data, split="val").summary
     assert summary["split"] == "val"
     assert summary["curves"] is None
     assert summary["tracks"]["snap"]["seated"]["rate"] == 1
     with pytest.raises(InputError, match="no prediction for a query of split test"):
-        score(submission, dataset)
+        score(submission, data)
 
 
-def test_only_the_tracks_of_the_manifest_are_scored(perfect: Submission, dataset: Dataset) -> None:
+def test_only_the_tracks_of_the_manifest_are_scored(perfect: Submission, data: Dataset) -> None:
     one = replace(perfect, manifest=replace(perfect.manifest, tracks=("snap",)))
-    summary = score(one, dataset).summary
+    summary = score(one, data).summary
     assert list(summary["tracks"]) == ["snap"]
     assert summary["curves"] is None
     nothing = replace(perfect, manifest=replace(perfect.manifest, tracks=("place",)))
     with pytest.raises(InputError, match="split test has no query of place"):
-        score(nothing, dataset)
+        score(nothing, data)
 
 
-def test_another_dataset_is_refused(perfect: Submission, dataset: Dataset) -> None:
+def test_another_dataset_is_refused(perfect: Submission, data: Dataset) -> None:
     other = replace(perfect, manifest=manifest("0123456789abcdef"))
-    with pytest.raises(InputError, match=f"predictions for dataset 0123456789abcdef, and .* is {dataset.id}"):
-        score(other, dataset)
+    with pytest.raises(InputError, match=f"predictions for dataset 0123456789abcdef, and .* is {data.id}"):
+        score(other, data)
 
 
-def test_predictions_for_unknown_queries_are_refused(perfect: Submission, dataset: Dataset) -> None:
+def test_predictions_for_unknown_queries_are_refused(perfect: Submission, data: Dataset) -> None:
     ids = [*perfect.predictions.query_ids[:-1], "test-s0099-p0-snap"]
     odd = predictions(ids, list(perfect.predictions.motions))
     with pytest.raises(InputError, match=r"test-s0099-p0-snap is not in .*kit1000 check "):
-        score(replace(perfect, predictions=odd), dataset)
+        score(replace(perfect, predictions=odd), data)
 
 
 def test_json_is_short_and_round() -> None:
@@ -329,3 +326,208 @@ def test_a_table_is_aligned() -> None:
     grid = Grid(("track", "n"), [["snap", "5"], ["place-paper", "10"]])
     assert grid.text() == "track         n\nsnap          5\nplace-paper  10"
     assert grid.markdown().splitlines()[1:3] == ["| --- | ---: |", "| snap | 5 |"]
+
+
+@pytest.fixture(autouse=True)
+def _termination() -> Iterator[None]:
+    """`main` handles SIGTERM for its process; here that is pytest."""
+    before = signal.getsignal(signal.SIGTERM)
+    yield
+    signal.signal(signal.SIGTERM, before)
+
+
+def test_a_file_that_holds_no_scores_stays(
+    perfect: Submission, data: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = shutil.copytree(perfect.folder, tmp_path / "mine")
+    words = ["score", str(folder), "--data", str(data.root), "--exact", "never"]
+    for text in ("my notes", "[1]", '{"my": "numbers"}'):
+        (folder / "scores.json").write_text(text)
+        assert main(words) == 2
+        assert "scores.json: exists and holds no scores" in capsys.readouterr().err
+        assert (folder / "scores.json").read_text() == text
+    (folder / "scores.json").write_text('{"protocol": "of last year"}')
+    assert main(words) == 0
+    assert "tracks" in json.loads((folder / "scores.json").read_text())
+
+
+def test_the_command_writes_the_scores_and_a_row_per_query(
+    perfect: Submission, data: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["score", perfect.folder, "--data", data.root, "--breakdown"]
+    assert main([*map(str, words), "--out", str(tmp_path / "a.json"), "--per-query", str(tmp_path / "a.csv")]) == 0
+    out, err = capsys.readouterr()
+    assert err == ""
+    assert re.search(r"^snap-tilt +1 +100\.0 +0\.00 \[0\.00, 0\.00\]", out, re.M)
+    assert json.loads((tmp_path / "a.json").read_text())["tracks"]["snap"]["n"] == 1
+    with open(tmp_path / "a.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 4 + 48
+    assert {row["seated"] for row in rows if row["track"] != CURVES} == {"true"}
+    assert {row["penetration_mm"] for row in rows if row["track"] == CURVES} == {""}
+    assert {path.name for path in perfect.folder.iterdir()} == {"manifest.toml", "predictions.csv"}
+
+
+WRONG = {  # by what is typed: facts of the answer
+    "": "score|rescore|curves|compare|table1|table2|pages|--help",
+    "scor": "scor|score",
+    "score": "score|SUBMISSION|--data",
+    "score {sub}": "score|--data",
+    "score {sub} --data {data} --split tets": "--split|tets|test-all",
+    "score {sub} --data {data} --workers 0": "--workers: expected 1 or more, got 0",
+    "score {sub} --data {tmp}": "{tmp}: no dataset (no dataset.json in it)",
+    "score {tmp}/none --data {data}": "{tmp}/none: no folder of a submission",
+    "curves --out {tmp}": "SUBMISSIONS",
+    "curves {tmp} --out {tmp}/out": "",
+    "compare {sub} --data {data}": "compare|B",
+    "compare {sub} {sub} --data {data} --tracks snp": "",
+    "pages --submissions {tmp} --out {tmp}/out": "{tmp}: no scored submission",
+}
+
+
+@pytest.mark.parametrize("line", WRONG)
+def test_wrong_usage_is_reported_in_one_line(
+    line: str, perfect: Submission, data: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    places = {"{tmp}": str(tmp_path), "{data}": str(data.root), "{sub}": str(perfect.folder)}
+    typed, message = line, WRONG[line]
+    for name, path in places.items():
+        typed, message = typed.replace(name, path), message.replace(name, path)
+    assert main(typed.split()) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("python -m benchmark: ")
+    assert all(fact in err for fact in message.split("|"))
+    assert err.count("\n") == 1
+
+
+@pytest.fixture
+def mine(perfect: Submission, tmp_path: Path) -> Submission:
+    """The ground truth in a folder that a test may change."""
+    return read_submission(shutil.copytree(perfect.folder, tmp_path / "mine"))
+
+
+def line_of_snap(folder: Path) -> int:
+    """The line, from 1, of the only prediction of the track snap."""
+    lines = (folder / "predictions.csv").read_text().split("\n")
+    return 1 + next(i for i, line in enumerate(lines) if line.partition(",")[0].endswith("-snap"))
+
+
+def edit(folder: Path, line: int, change: Callable[[str], str]) -> None:
+    path = folder / "predictions.csv"
+    lines = path.read_text().split("\n")
+    lines[line - 1] = change(lines[line - 1])
+    path.write_text("\n".join(lines))
+
+
+def with_field(field: str, value: str) -> Callable[[str], str]:
+    def change(line: str) -> str:
+        cells = line.split(",")
+        cells[HEADER.index(field)] = value
+        return ",".join(cells)
+
+    return change
+
+
+INVALID: dict[str, tuple[Callable[[str], str], str]] = {
+    "not a number": (with_field("qw", "nan"), "not-a-number"),
+    "overflow": (with_field("z", "1e999"), "not-a-number"),
+    "unknown confidence": (with_field("confidence", "high"), "not-a-number"),
+    "a control character": (lambda line: line + "\x01", "not-a-number"),
+    "long quaternion": (with_field("qw", "3"), "quaternion-norm"),
+    "far away": (with_field("x", "1e12"), "position-range"),
+    "percent": (with_field("confidence", "90"), "confidence-range"),
+    "negative seconds": (with_field("seconds", "-7"), "seconds-range"),
+    "no id": (with_field("query_id", ""), "invalid-id"),
+    "a comment": (lambda line: "# " + line, "invalid-id"),
+    "too short": (lambda line: line.rpartition(",")[0], "fields"),
+    "too long": (lambda line: line + ",7", "fields"),
+    "an open quote": (lambda line: '"' + line, "fields"),
+}
+
+
+@pytest.mark.parametrize("case", INVALID)
+def test_an_invalid_prediction_counts_as_no_motion(case: str, mine: Submission, data: Dataset) -> None:
+    change, code = INVALID[case]
+    folder, line = mine.folder, line_of_snap(mine.folder)
+    edit(folder, line, change)
+    assert [(error.line, error.code) for error in check(folder).errors] == [(line, code)]
+    with pytest.raises(InputError, match=rf"predictions\.csv:{line}:"):
+        read_submission(folder)
+    submission = read_checked(folder, data.root, "test")
+    first = submission.invalid.first
+    assert first is not None
+    assert (submission.invalid.count, first.line, first.code) == (1, line, code)
+    tracks = score(submission, data, exact="never").summary["tracks"]
+    assert (tracks["snap"]["n"], tracks["snap"]["coverage"], tracks["snap"]["seated"]["rate"]) == (1, 0, 0)
+    assert tracks["snap"]["position_mm"]["mean"] > 50
+    assert (tracks["snap-tilt"]["coverage"], tracks["snap-tilt"]["seated"]["rate"]) == (1, 1)
+
+
+def replaced(old: str, new: str, name: str = "predictions.csv") -> Callable[[Path], object]:
+    """Replaces a text in a file of a folder."""
+    return lambda folder: (folder / name).write_text((folder / name).read_text().replace(old, new))
+
+
+def duplicate(folder: Path) -> None:
+    path = folder / "predictions.csv"
+    path.write_text(path.read_text() + path.read_text().split("\n")[1] + "\n")
+
+
+def other_dataset(folder: Path) -> None:
+    write_manifest(folder / "manifest.toml", replace(read_submission(folder).manifest, dataset_id="0123456789abcdef"))
+
+
+FORM: dict[str, tuple[Callable[[Path], object], str]] = {
+    "no header": (replaced(",".join(HEADER) + "\n", ""), "query_id,qw,qx,qy,qz"),
+    "a duplicate": (duplicate, "line 2 has the same id"),
+    "another file": (lambda folder: (folder / "predictions.csv").write_bytes(b"PK\x03\x04"), "query_id,qw,qx,qy,qz"),
+    "semicolons": (replaced(",", ";"), "query_id,qw,qx,qy,qz"),
+    "an unknown id": (
+        lambda folder: edit(folder, 2, with_field("query_id", "test-s7777-p0-snap")),
+        "test-s7777-p0-snap",
+    ),
+    "a broken manifest": (replaced("learned = false", 'learned = "no"', "manifest.toml"), "learned = .*true or false"),
+    "another dataset": (other_dataset, "dataset_id = .*0123456789abcdef"),
+}
+
+
+@pytest.mark.parametrize("case", FORM)
+def test_a_fault_of_form_stops_the_scoring_by_name(
+    case: str, mine: Submission, data: Dataset, capsys: pytest.CaptureFixture[str]
+) -> None:
+    spoil, expected = FORM[case]
+    spoil(mine.folder)
+    with pytest.raises(InputError, match=f"mine: .*{expected}"):
+        read_checked(mine.folder, data.root, "test")
+    assert main(["score", str(mine.folder), "--data", str(data.root)]) == 2
+    out, err = capsys.readouterr()
+    assert (out, err.count("\n")) == ("", 1)
+    assert not (mine.folder / "scores.json").exists()
+
+
+def test_a_file_of_invalid_rows_alone_is_not_scored(mine: Submission, data: Dataset) -> None:
+    path = mine.folder / "predictions.csv"
+    head, *rows, _ = path.read_text().split("\n")
+    path.write_text("\n".join([head, *(with_field("qw", "nan")(row) for row in rows), ""]))
+    with pytest.raises(InputError, match=r"no row is.* valid.*predictions\.csv:2:"):
+        read_checked(mine.folder, data.root, "test")
+
+
+def test_the_command_says_how_many_rows_are_invalid_and_shows_the_coverage(
+    mine: Submission, data: Dataset, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, line = mine.folder, line_of_snap(mine.folder)
+    edit(folder, line, with_field("qw", "nan"))
+    edit(folder, line + 1, with_field("confidence", "2"))
+    words = ["score", str(folder), "--data", str(data.root), "--exact", "never"]
+    assert main(words) == 0
+    out, err = capsys.readouterr()
+    begins = f"python -m benchmark: {folder}: 2 rows are no valid predictions; their queries count as no motion;"
+    assert err.startswith(f"{begins} the first: {folder}/predictions.csv:{line}:")
+    assert err.count("\n") == 1
+    assert any(row.split()[:3] == ["snap", "1", "0.0"] for row in out.split("\n"))
+    written: dict[str, Any] = json.loads((folder / "scores.json").read_text())
+    assert written["tracks"]["snap"]["coverage"] == 0
+    ((_, differences),) = rescore([folder], data.root)
+    assert differences == []

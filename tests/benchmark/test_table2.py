@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,12 +19,13 @@ from kit1000.dataset.geometry import Geometry
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.errors import InputError
 from kit1000.metrics import Targets
-from kit1000.perception.sensor_facts import SensorFacts, simulated_sensor
+from kit1000.perception.sensor_facts import SensorFacts
 from kit1000.planner.execute import NO_SEAL, OUTCOMES, PartRun, SceneRun
 from kit1000.pose import Pose
-from kit1000.submission import Manifest, write_submission
+from kit1000.submission import write_submission
 from kit1000.submission.predictions import write_predictions
 from kit1000.values import Assembly, LabelledDepth, Mount, Part, Prediction, Query, Truth
+from tests.samples.submissions import manifest
 
 SPLIT = "train"
 FAR = Pose.from_translation([0.0, 0.0, 0.02])
@@ -90,56 +91,7 @@ def test_fewer_scenes_are_the_first_ones(mini: Path, shifted: Path, robot: None)
     assert row.possible == 0
 
 
-def manifest(dataset: Dataset, track: str, masks: Literal["given", "predicted"]) -> Manifest:
-    """Of a submission that answers one track."""
-    return Manifest(
-        method="mine",
-        authors=("us",),
-        description="motions",
-        date="2026-01-01",
-        dataset_id=dataset.id,
-        tracks=(track,),
-        learned=False,
-        uses_true_geometry=False,
-        masks=masks,
-    )
-
-
-def without_seal(scene: RecordedScene, motions: Mapping[int, Pose]) -> SceneRun:
-    """What becomes of a scene where the robot seals on no part."""
-    return SceneRun(scene.id, tuple(PartRun(part, NO_SEAL, "") for part in motions), (), (), Pose.identity())
-
-
-def test_the_robot_finds_parts_by_predicted_masks_where_the_manifest_states_them(
-    mini: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    seen: list[tuple[str, Mapping[int, LabelledDepth] | None]] = []
-
-    def run_scene(scene: RecordedScene, motions: Mapping[int, Pose], sensor: str, seed: int, images: Any) -> SceneRun:
-        seen.append((scene.id, images))
-        return without_seal(scene, motions)
-
-    monkeypatch.setattr(table2, "run_scene", run_scene)
-    dataset = Dataset(mini)
-    queries = list(dataset.split(SPLIT).queries("snap"))
-    rows = [Prediction(query.id, dataset.truth_of(query).goal_drawn, 0.5, 1.0) for query in queries]
-    write_submission(tmp_path / "given", manifest(dataset, "snap", "given"), rows)
-    write_submission(tmp_path / "predicted", manifest(dataset, "snap", "predicted"), rows)
-    folders = {masks: tmp_path / masks for masks in ("given", "predicted")}
-    found = []
-
-    def find(query: Query, scale: float, sensor: SensorFacts) -> Query:
-        found.append((scale, sensor))
-        return query
-
-    table2.chain(mini, folders, "snap", SPLIT, 1, find_masks=find)
-    assert [images is None for _, images in seen] == [True, True, False]
-    own = [query for query in queries if query.scene_id == seen[-1][0]]
-    assert set(seen[-1][1] or ()) == {query.part for query in own}
-    assert found == [(dataset.summary["config"]["scale"], simulated_sensor("ideal"))] * len(own)
-
-
-def test_masks_are_found_by_the_facts_of_the_sensor(
+def test_the_robot_finds_parts_by_predicted_masks_and_the_facts_of_the_sensor_where_the_manifest_states_them(
     mini: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """As `predict --masks predicted` finds them."""
@@ -151,19 +103,30 @@ def test_masks_are_found_by_the_facts_of_the_sensor(
             (root / path.name).symlink_to(path)
     summary = json.loads((mini / "dataset.json").read_text("utf-8"))
     (root / "dataset.json").write_text(json.dumps(summary | {"sensors": {"d415": facts.as_row()}}))
-    monkeypatch.setattr(table2, "run_scene", lambda scene, motions, *_: without_seal(scene, motions))
-    dataset = Dataset(root)
-    rows = [Prediction(q.id, Pose.identity(), 0.5, 1.0) for q in dataset.split(SPLIT).queries("snap-d415")]
-    write_submission(tmp_path / "found", manifest(dataset, "snap-d415", "predicted"), rows)
-    given: list[SensorFacts] = []
+    seen: list[tuple[str, Mapping[int, LabelledDepth] | None]] = []
+
+    def run_scene(scene: RecordedScene, motions: Mapping[int, Pose], sensor: str, seed: int, images: Any) -> SceneRun:
+        seen.append((scene.id, images))
+        return SceneRun(scene.id, tuple(PartRun(part, NO_SEAL, "") for part in motions), (), (), Pose.identity())
+
+    monkeypatch.setattr(table2, "run_scene", run_scene)
+    dataset, track = Dataset(root), "snap-d415"
+    queries = list(dataset.split(SPLIT).queries(track))
+    rows = [Prediction(query.id, dataset.truth_of(query).goal_drawn, 0.5, 1.0) for query in queries]
+    folders = {masks: tmp_path / masks for masks in ("given", "predicted")}
+    for masks, folder in folders.items():
+        write_submission(folder, manifest(dataset.id, tracks=(track,), uses_true_geometry=False, masks=masks), rows)
+    found = []
 
     def find(query: Query, scale: float, sensor: SensorFacts) -> Query:
-        given.append(sensor)
+        found.append((scale, sensor))
         return query
 
-    table2.chain(root, {"found": tmp_path / "found"}, "snap-d415", SPLIT, 1, find_masks=find)
-    assert given
-    assert set(given) == {facts}
+    table2.chain(root, folders, track, SPLIT, 1, find_masks=find)
+    assert [images is None for _, images in seen] == [True, True, False]
+    own = [query for query in queries if query.scene_id == seen[-1][0]]
+    assert set(seen[-1][1] or ()) == {query.part for query in own}
+    assert found == [(dataset.summary["config"]["scale"], facts)] * len(own) != []
 
 
 def test_predictions_of_other_queries_and_unknown_tracks_are_refused(mini: Path, tmp_path: Path, robot: None) -> None:
@@ -205,16 +168,10 @@ TILT = Pose.from_rotvec([np.radians(30.0), 0.0, 0.0])  # three times the limit o
 
 
 @pytest.fixture(scope="module")
-def dataset(mini: Path) -> Dataset:
-    """The small generated dataset."""
-    return Dataset(mini)
-
-
-@pytest.fixture(scope="module")
-def truths(dataset: Dataset) -> list[Truth]:
+def truths(data: Dataset) -> list[Truth]:
     """One of each scene."""
-    drawn = [query for split in SPLITS for query in dataset.split(split).queries("snap") if query.drawn]
-    return [dataset.truth_of(query) for query in drawn]
+    drawn = [query for split in SPLITS for query in data.split(split).queries("snap") if query.drawn]
+    return [data.truth_of(query) for query in drawn]
 
 
 def hull(dataset: Dataset, part_id: str) -> np.ndarray:
@@ -238,13 +195,13 @@ def kinds(dataset: Dataset, truths: list[Truth], motions: list[Pose]) -> set[str
     return set(failure_kinds(Pose.stack(motions), truths, targets, dataset.geometry))
 
 
-def test_planted_errors_are_named(dataset: Dataset, truths: list[Truth]) -> None:
+def test_planted_errors_are_named(data: Dataset, truths: list[Truth]) -> None:
     goals = [truth.goal_drawn for truth in truths]
     high = [raised(truth, 0.02) for truth in truths]
-    assert kinds(dataset, truths, goals) == {SEATS}
-    assert kinds(dataset, truths, high) == {POSITION}
-    assert kinds(dataset, truths, [tilted(truth, truth.goal_drawn) for truth in truths]) == {ROTATION}
-    assert kinds(dataset, truths, [tilted(*case) for case in zip(truths, high, strict=True)]) == {BOTH}
+    assert kinds(data, truths, goals) == {SEATS}
+    assert kinds(data, truths, high) == {POSITION}
+    assert kinds(data, truths, [tilted(truth, truth.goal_drawn) for truth in truths]) == {ROTATION}
+    assert kinds(data, truths, [tilted(*case) for case in zip(truths, high, strict=True)]) == {BOTH}
     assert len(set(KINDS)) == len(KINDS)
     assert {SEATS, WRONG_PLATE, ROTATION, POSITION, EITHER, BOTH} == set(KINDS)
 
@@ -267,9 +224,9 @@ class Doubled:
         return replace(assembly, mounts=(*others, *assembly.mounts))
 
 
-def test_a_part_nearer_to_another_plate_is_at_the_wrong_one(dataset: Dataset, truths: list[Truth]) -> None:
-    targets = Targets.of(truths, lambda part_id: hull(dataset, part_id))
-    doubled = Doubled(dataset.geometry)
+def test_a_part_nearer_to_another_plate_is_at_the_wrong_one(data: Dataset, truths: list[Truth]) -> None:
+    targets = Targets.of(truths, lambda part_id: hull(data, part_id))
+    doubled = Doubled(data.geometry)
     for share, wrong in ((0.0, False), (0.4, False), (0.6, True), (1.0, True)):
         moved = []
         for truth in truths:

@@ -24,10 +24,10 @@ from kit1000.perception.sensor_facts import SensorFacts, sensor_of
 from kit1000.pose import Pose
 from kit1000.registration.rank import from_elsewhere
 from kit1000.submission import Predictions, check, read_submission, write_submission
-from kit1000.submission.manifest import Manifest
 from kit1000.values import ASSEMBLY_LABEL, Prediction
 from tests.samples.labelled_scenes import CLEARANCE, shapes_folder
 from tests.samples.own_images import CAMERA, EYE, exact_depth, millimetres, noisy_depth
+from tests.samples.submissions import manifest
 
 DEPTH = millimetres(noisy_depth(exact_depth(), 0.05))
 NUMBERS = tuple(str(value) for value in (CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy))
@@ -174,11 +174,8 @@ def test_commands_that_need_truth_say_so_in_one_line(
 def test_predictions_are_checked_against_the_folder(folder: Path, tmp_path: Path) -> None:
     dataset = Dataset(folder)
     rows = [Prediction(query.id, Pose.identity(), 0.5, 1.0) for query in dataset.split("test").queries("place-d415")]
-    manifest = Manifest(
-        method="own", authors=("x",), description="x", date="2026-01-01", dataset_id=dataset.id,
-        tracks=("place-d415",), learned=False, uses_true_geometry=False,
-    )  # fmt: skip
-    write_submission(tmp_path / "out", manifest, Predictions.of(rows))
+    described = manifest(dataset.id, tracks=("place-d415",), uses_true_geometry=False)
+    write_submission(tmp_path / "out", described, Predictions.of(rows))
     assert check(tmp_path / "out", folder).good
     assert len(read_submission(tmp_path / "out").predictions) == 4
 

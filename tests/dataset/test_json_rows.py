@@ -1,8 +1,9 @@
-"""Tests of the tables: parts, kits and assemblies are equal to the bit when read back, also through JSON."""
+"""Rows of JSON: every record comes back to the bit, and a missing entry is named with its place."""
 
 from __future__ import annotations
 
 import json
+import pickle
 from dataclasses import fields, is_dataclass
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from kit1000.dataset.geometry import JsonObject
 from kit1000.dataset.json_rows import (
     Row,
     assembly_of,
@@ -22,6 +24,7 @@ from kit1000.dataset.json_rows import (
     pose_of,
     pose_row,
 )
+from kit1000.errors import InputError
 from kit1000.files import json_bytes
 from kit1000.pose import Pose
 from kit1000.symmetry import Symmetry
@@ -103,3 +106,36 @@ def test_a_row_has_the_measures_of_its_mesh() -> None:
     assert row["volume"] == MESH.volume
     assert row["extents"] == pytest.approx([0.04, 0.03, 0.024])
     assert row["symmetry"]["name"] == "C2"
+
+
+texts = st.text(max_size=4)
+values = st.recursive(
+    st.none() | st.booleans() | st.integers() | texts,
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(texts, inner, max_size=3),
+    max_leaves=12,
+)
+
+
+@given(value=st.dictionaries(texts, values, max_size=4))
+def test_it_holds_what_the_file_holds(value: dict[str, Any]) -> None:
+    made = JsonObject(value, "file", "mend it")
+    assert made == value
+    assert json.dumps(made, sort_keys=True) == json.dumps(value, sort_keys=True)
+    again = pickle.loads(pickle.dumps(made))
+    assert again == value
+    with pytest.raises(InputError, match="mend it"):
+        again["a longer name"]
+    assert made.get("a longer name") is None
+    assert "a longer name" not in made
+
+
+def test_a_missing_entry_is_named_with_its_place_at_any_depth() -> None:
+    made = JsonObject({"config": {"sides": {"left": 1}}}, "data/dataset.json", "add it")
+    for read, says in (
+        (lambda: made["seed"], "data/dataset.json: has no 'seed'; add it"),
+        (lambda: made["config"]["scale"], "data/dataset.json: config: has no 'scale'; add it"),
+        (lambda: made["config"]["sides"]["right"], "data/dataset.json: config: sides: has no 'right'; add it"),
+    ):
+        with pytest.raises(InputError) as refused:
+            read()
+        assert str(refused.value) == says

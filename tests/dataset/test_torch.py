@@ -5,7 +5,6 @@ from __future__ import annotations
 import pickle
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,12 +17,6 @@ from kit1000.errors import InputError
 from kit1000.queries.motions import apply_error
 from kit1000.values import Query, Truth
 from tests.samples.checkout import ROOT
-
-
-@pytest.fixture(scope="module")
-def data(mini: Path) -> Dataset:
-    """A dataset of four scenes."""
-    return Dataset(mini)
 
 
 @pytest.fixture(scope="module")

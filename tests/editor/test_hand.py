@@ -17,7 +17,6 @@ from kit1000.editor.records import EventLog
 from kit1000.editor.scene import EditedScene
 from kit1000.editor.seen_plates import TABLE
 from kit1000.editor.session import UNTOUCHED, Session
-from kit1000.errors import InputError
 from kit1000.pose import Pose
 from kit1000.submission import read_submission
 from tests.samples.editing import EYE, Desk, desk, dragged, header_of, scene_of
@@ -212,10 +211,3 @@ def test_help_names_every_key_that_the_interface_has(interface: str) -> None:
     for key in keys_of("scene"):
         kept = key.verb in verbs_of(interface)  # type: ignore[arg-type]
         assert (f"**{shown(key)}** |" in text) == (kept and bool(key.help)), key
-
-
-def test_a_folder_holds_one_interface(scene: EditedScene, tmp_path: Path) -> None:
-    table, _ = hand(scene, tmp_path)
-    choose(table, scene.parts[0])
-    with pytest.raises(InputError, match=r"interface hand, not scene; choose another --out"):
-        EventLog(tmp_path, header_of(scene))

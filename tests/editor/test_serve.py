@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import http.client
 import json
 import re
@@ -17,11 +18,12 @@ from unittest import mock
 import pytest
 import viser
 import websockets.asyncio.server
+from websockets.asyncio.client import connect
+from websockets.exceptions import InvalidStatus
 
 from kit1000.dataset.reader import Dataset
 from kit1000.editor.serve import HOST, Options, serving
 from kit1000.errors import InputError, InternalError
-from tests.samples.handshakes import shake
 
 TUNNEL = "http://localhost:9000"
 
@@ -143,3 +145,19 @@ def test_a_method_that_reads_shapes_makes_a_session_with_shapes() -> None:
     }
     assert not any(known.values())
     assert Options(Path(), "s", Path(), snap="registration-known").header("d").shapes
+
+
+PROTOCOL = f"viser-v{viser.__version__}"
+
+
+def shake(port: int, origin: str | None) -> int:
+    """HTTP status of a handshake: 101 where it is accepted."""
+
+    async def go() -> int:
+        try:
+            async with connect(f"ws://{HOST}:{port}", origin=origin, subprotocols=[PROTOCOL], proxy=None):  # type: ignore[arg-type, list-item]
+                return 101
+        except InvalidStatus as refused:
+            return refused.response.status_code
+
+    return asyncio.run(go())

@@ -28,19 +28,14 @@ NUMPY_TYPES = {1: "u1", 7: "<f4"}
 
 
 @pytest.fixture(scope="module")
-def dataset(mini: Path) -> Dataset:
-    return Dataset(mini)
+def scene(data: Dataset) -> RecordedScene:
+    return data.recorded_scene(SCENE)
 
 
 @pytest.fixture(scope="module")
-def scene(dataset: Dataset) -> RecordedScene:
-    return dataset.recorded_scene(SCENE)
-
-
-@pytest.fixture(scope="module")
-def plain(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def plain(data: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A recording without the truth."""
-    return write_scene_recording(dataset, SCENE, tmp_path_factory.mktemp("plain") / "scene.mcap")
+    return write_scene_recording(data, SCENE, tmp_path_factory.mktemp("plain") / "scene.mcap")
 
 
 def answered(scene: RecordedScene, path: Path, offset: tuple[float, float, float]) -> Path:
@@ -138,9 +133,9 @@ def test_guesses_take_the_visible_points_of_the_parts(plain: Path, scene: Record
 
 
 def test_with_truth_there_are_models_goals_and_seated_parts(
-    dataset: Dataset, scene: RecordedScene, tmp_path: Path
+    data: Dataset, scene: RecordedScene, tmp_path: Path
 ) -> None:
-    recorded = messages(write_scene_recording(dataset, SCENE, tmp_path / "scene.mcap", truth=True))
+    recorded = messages(write_scene_recording(data, SCENE, tmp_path / "scene.mcap", truth=True))
     assert set(recorded) == OBSERVED | {"/models", "/goals", "/seated"}
     bodies = scene.scene.bodies
     assert [entity.id.partition("/")[2] for entity in recorded["/models"].entities] == [body.id for body in bodies]
@@ -153,7 +148,7 @@ def test_with_truth_there_are_models_goals_and_seated_parts(
     assert len(goals) == sum(len(truth.slot.goals) for truth in truths)
     seated = stacked(recorded["/seated"], "x", "y", "z").reshape(len(truths), -1, 3)
     for truth, points in zip(truths, seated, strict=True):
-        mesh = dataset.geometry.part(truth.part_id).mesh
+        mesh = data.geometry.part(truth.part_id).mesh
         box = (truth.goal_drawn @ truth.world_from_part).apply(mesh.vertices)
         assert (points >= box.min(0) - 1e-6).all()
         assert (points <= box.max(0) + 1e-6).all()
@@ -161,10 +156,10 @@ def test_with_truth_there_are_models_goals_and_seated_parts(
 
 @pytest.mark.parametrize("offset", [(0.0, 0.0, 0.0), (1e-3, 0.0, 4e-3)])
 def test_answers_are_coloured_by_their_error(
-    dataset: Dataset, scene: RecordedScene, tmp_path: Path, offset: tuple[float, float, float]
+    data: Dataset, scene: RecordedScene, tmp_path: Path, offset: tuple[float, float, float]
 ) -> None:
     predictions = answered(scene, tmp_path / "predictions.csv", offset)
-    recorded = messages(write_scene_recording(dataset, SCENE, tmp_path / "scene.mcap", True, predictions))
+    recorded = messages(write_scene_recording(data, SCENE, tmp_path / "scene.mcap", True, predictions))
     cloud, length = recorded["/answers"], float(np.linalg.norm(offset))
     assert np.allclose(rows(cloud)["error_mm"], 1e3 * length, rtol=0, atol=1e-3)
     nearest = error_colours(np.array([length]))[0].astype(int)

@@ -1,7 +1,9 @@
-"""Tests of generate with mesh files: invalid ones are refused with a reason, and the others become parts."""
+"""Datasets of mesh files: any name and any content gives parts or reasons, never an end of the run."""
 
 from __future__ import annotations
 
+import json
+import os
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -10,12 +12,14 @@ import numpy as np
 import pytest
 from manifold3d import Manifold
 
+from kit1000.cli import main
+from kit1000.cli.summaries import summary_text
 from kit1000.dataset.geometry import Geometry
 from kit1000.dataset.mesh_files import read_glb
 from kit1000.errors import InputError
 from kit1000.generation import parts_and_kits, scene_files, tried_files
 from kit1000.generation.build import generate
-from kit1000.generation.plan import Sources, draw_longest
+from kit1000.generation.plan import Sources, draw_longest, file_order
 from kit1000.generation.scenes import make_scene
 from kit1000.generation.tried_files import FileJob, try_file
 from kit1000.generation.verify import verify
@@ -149,3 +153,61 @@ def test_an_unreadable_dataset_is_refused_with_the_reason(
         Geometry(tmp_path)
     with pytest.raises(InputError, match=r"no 'x' among 4 parts \(test-0000, "):
         Geometry(whole).part("x")
+
+
+ODD = [b"Geh\xe4use.stl", b"a|b.stl", b"<b>.stl", b"two\nlines.stl", b"tab\t.stl", "Gehäuse.stl".encode()]
+
+
+def odd_files(folder: Path) -> list[Path]:
+    """Files of such names: the first four are parts, the others near-duplicates of them, so that all are named."""
+    paths = [Path(os.fsdecode(os.fsencode(folder) + b"/" + name)) for name in ODD]
+    for i, path in enumerate(paths):
+        write_stl(path, l_shape((20, 24, 28, 33)[i % 4]))
+    return paths
+
+
+def test_names_of_any_bytes_never_end_a_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    summary = generate(MINI, tmp_path / "out", workers=1, sources=Sources.of(odd_files(tmp_path)))
+    assert sum(count["parts"] for count in summary["counts"].values()) == 4
+    assert len(summary["refused"]) == 2
+    card = (tmp_path / "out/README.md").read_text("utf-8")
+    rows = [line for line in card.splitlines() if "near-duplicate of" in line]
+    assert rows
+    for row in rows:  # one line, three columns
+        assert row.replace("\\|", "").count("|") == 4
+        assert "<b>" not in row
+    json.loads((tmp_path / "out/croissant.json").read_bytes())
+    printed = summary_text(summary)
+    assert len(printed.splitlines()) == len(summary_text(summary | {"refused": {"a": "b", "c": "d"}}).splitlines())
+    printed.encode("utf-8")
+    assert main(["info", str(tmp_path / "out")]) == 0
+    assert capsys.readouterr().out.rstrip("\n") == printed
+    again = generate(MINI, tmp_path / "out", workers=1, sources=Sources.of(odd_files(tmp_path)))
+    assert again == summary
+
+
+def test_files_are_tried_in_the_drawn_order_until_there_are_enough_parts(tmp_path: Path) -> None:
+    files = [write_stl(tmp_path / f"good{width}.stl", l_shape(width)) for width in (20, 22, 24, 26, 28, 31, 33, 35)]
+    for i in range(8):
+        (tmp_path / f"bad{i}.stl").touch()
+        files.append(tmp_path / f"bad{i}.stl")
+    sources = Sources.of(files)
+    summary = generate(MINI, tmp_path / "out", workers=1, sources=sources)
+    assert sum(count["parts"] for count in summary["counts"].values()) == 4
+    refused, order = summary["refused"], file_order(MINI.seed, sources)
+    assert {reason for name, reason in refused.items() if "bad" in name} <= {"empty file"}
+    assert summary["untried_files"] == len(files) - 4 - len(refused) > 0
+    assert f"{summary['untried_files']} more not tried" in summary_text(summary)
+    used = [row["source"] for row in Geometry(tmp_path / "out").parts.values()]
+    assert {*used, *refused} == {*order[: 4 + len(refused)]}
+    assert generate(MINI, tmp_path / "again", workers=1, sources=Sources.of(files[::-1])) == summary
+
+
+def test_one_good_file_among_many_is_found(tmp_path: Path) -> None:
+    preset = replace(MINI, train=1, val=0, test=0)
+    files = [tmp_path / f"a{i:02d}.stl" for i in range(30)]
+    for path in files:
+        path.touch()
+    write_stl(files[-1], l_shape(24))
+    summary = generate(preset, tmp_path / "out", workers=1, sources=Sources.of(files))
+    assert summary["counts"]["train"]["parts"] == 1

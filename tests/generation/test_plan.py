@@ -208,15 +208,6 @@ def test_accepted_files_are_divided_among_the_splits_in_their_order(count: int) 
     assert any(row["split"] == "train" for row in rows)
 
 
-@pytest.mark.parametrize("name", PRESETS)
-def test_a_plan_gives_its_preset_back(name: str) -> None:
-    asked = preset(name)
-    assert asked.name == name
-    found = preset_of(name, json.loads(json.dumps(asked.config)))
-    assert replace(found, seed=asked.seed) == asked
-    assert found.config == asked.config
-
-
 @given(
     st.sets(st.sampled_from(list(TRACKS)), min_size=1),
     st.tuples(st.integers(1, 2), st.integers(2, 5)),

@@ -1,7 +1,4 @@
-"""Tests of withholding: no byte of the public folder reveals the seed, or a pose or a mesh of the test split.
-
-A guess in a query is the truth plus a random error, so it is public: the search is for the true poses.
-"""
+"""Withholding: no byte of the public folder, and no combination of its queries, reveals the truth of the test split."""
 
 from __future__ import annotations
 
@@ -9,9 +6,11 @@ import hashlib
 import itertools
 import json
 import secrets
-from collections.abc import Iterator
-from dataclasses import replace
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import reduce
+from itertools import combinations
 from operator import and_, or_
 from pathlib import Path
 from typing import Any
@@ -21,8 +20,9 @@ import pytest
 from mcap.reader import make_reader
 
 from benchmark.score import read_checked, score
-from kit1000 import Manifest, Prediction, write_submission
+from kit1000 import Prediction, write_submission
 from kit1000.dataset.geometry import Geometry
+from kit1000.dataset.mcap_io import ObservationFile, ObservationWriter
 from kit1000.dataset.reader import WITHHELD_FILE, Dataset
 from kit1000.errors import InputError
 from kit1000.export.recording import write_scene_recording
@@ -31,10 +31,17 @@ from kit1000.generation import build, withhold
 from kit1000.generation.plan import dataset_id
 from kit1000.generation.presets import PRESETS
 from kit1000.generation.verify import verify
+from kit1000.generation.withhold import withheld_preset
 from kit1000.mesh import y_up
 from kit1000.pictures.dataset_sheets import scene_sheet
+from kit1000.pictures.scene_preview import scene_picture
+from kit1000.pose import Pose
+from kit1000.queries.motions import error_of
+from kit1000.queries.tracks import TRACKS
 from kit1000.submission import check
+from kit1000.values import Query
 from tests.samples.mini import HIDDEN, Published, file_hashes, l_shape_sources, publish_by_command
+from tests.samples.submissions import manifest
 
 RUN = 12  # consecutive vertices: more than the corners that all plates have
 KEY = 8  # bytes that the search compares first
@@ -176,6 +183,8 @@ def test_the_commitment_is_that_of_the_withheld_files(folders: Published) -> Non
     assert hashes == secret["files"]
     number_forms = hashlib.sha256(secret["salt"].encode() + json_bytes(hashes)).hexdigest()
     assert public["withheld"] == {"split": "test", "salted_sha256": number_forms}
+    identity = secret["salt"] + dataset_id(read_json(folders.full / "plan.json"))
+    assert public["dataset_id"] == hashlib.sha256(identity.encode()).hexdigest()[:16]
     assert len(secret["salt"]) == 64
     only_in_full = set(file_hashes(folders.full)) - set(file_hashes(folders.public)) - {WITHHELD_FILE}
     rewritten = {"parts.json", "kits.json", "assemblies.json", "test/0000.mcap", "test/0000.three.mcap"}
@@ -227,17 +236,8 @@ def test_a_submission_made_on_the_public_folder_is_scored_on_the_full_one(folder
     assert (public.public_id, full.public_id) == (None, public.id)
     queries = list(public.split("test").queries())
     predictions = [Prediction(query.id, full.truth_of(query).goal_drawn, 1.0, -1) for query in queries]
-    manifest = Manifest(
-        method="truth",
-        authors=("A",),
-        description="The goals.",
-        date="2026-01-31",
-        dataset_id=public.id,
-        tracks=tuple(sorted({query.track for query in queries})),
-        learned=False,
-        uses_true_geometry=True,
-    )
-    write_submission(tmp_path / "truth", manifest, predictions)
+    described = manifest(public.id, tracks=tuple(sorted({query.track for query in queries})))
+    write_submission(tmp_path / "truth", described, predictions)
     assert not check(tmp_path / "truth", folders.public).errors
     scores = score(read_checked(tmp_path / "truth", folders.full, "test"), full).summary["tracks"]
     assert sum(track["n"] for track in scores.values()) == len(queries)
@@ -318,11 +318,8 @@ def test_a_drawn_seed_has_128_bits_of_which_all_but_the_first_are_random(tmp_pat
     assert {seed.bit_length() for seed in seeds} == {128}
     assert reduce(or_, seeds) == 2**128 - 1
     assert reduce(and_, seeds) == 2**127
-
-
-@pytest.mark.parametrize("seed", [2**127, 2**128 - 1])
-def test_a_seed_of_128_bits_is_kept(seed: int, tmp_path: Path) -> None:
-    assert withhold.secret_seed(tmp_path, seed) == seed
+    for seed in (2**127, 2**128 - 1):
+        assert withhold.secret_seed(tmp_path, seed) == seed
 
 
 @pytest.mark.parametrize("seed", [0, 7, 2**32, 2**64, 2**127 - 1])
@@ -340,12 +337,6 @@ def test_a_folder_made_from_a_guessable_seed_is_refused(seed: int, tmp_path: Pat
     (tmp_path / "plan.json").write_bytes(json_bytes({"seed": seed}))
     with pytest.raises(InputError, match=f"seed {seed}, which can be guessed"):
         withhold.secret_seed(tmp_path, None)
-
-
-def test_the_commitment_and_the_public_id_are_salted() -> None:
-    files = {"test/0000.truth.mcap": "ab", "plan.json": "cd"}
-    assert withhold.commitment("salt", files) == hashlib.sha256(b"salt" + json_bytes(files)).hexdigest()
-    assert withhold.public_id("salt", "id") == hashlib.sha256(b"saltid").hexdigest()[:16]
 
 
 @pytest.mark.parametrize("public", ["full", "full/public", ".", "link"])
@@ -384,3 +375,107 @@ def test_truth_left_in_the_public_folder_is_found(quick_dataset: list[str], tmp_
         (folders.public / name).write_bytes((folders.full / name).read_bytes())
         assert verify(folders.public).faults == (f"{name}: not a file of this dataset",)
         (folders.public / name).unlink()
+
+
+@dataclass(frozen=True)
+class Clue:
+    """What one query tells about the goal of its part."""
+
+    query: Query
+    goal: Pose | None = None
+    """goal_from_now that the guess misses, where the test knows it."""
+
+    @property
+    def guess(self) -> Pose:
+        assert self.query.guess is not None
+        return self.query.guess
+
+
+def clues_by_part(root: Path, truth: bool, splits: Iterable[str]) -> dict[tuple[str, int], list[Clue]]:
+    """The queries of a folder with a guess, by scene and part; with their goals if `truth`."""
+    found = defaultdict(list)
+    for split in splits:
+        for scene in Dataset(root).split(split, truth=truth):
+            for query in scene.queries:
+                if query.guess is not None:
+                    goal = scene.truths[query.id].goal_drawn if truth else None
+                    found[query.scene_id, query.part].append(Clue(query, goal))
+    return found
+
+
+def groups(clues: Sequence[Clue]) -> list[tuple[Clue, ...]]:
+    """All pairs and triples of queries about a part, of whatever tracks, sensors and levels."""
+    return [group for size in (2, 3) for group in combinations(clues, size)]
+
+
+def test_a_withheld_folder_has_no_two_queries_to_combine(withheld: Published) -> None:
+    clues = clues_by_part(withheld.public, False, ["test-all"])
+    assert clues
+    assert [group for part in clues.values() for group in groups(part)] == []
+    queries = list(Dataset(withheld.public).split("test-all").queries())
+    parts = [(query.scene_id, query.part) for query in queries]
+    assert len(parts) == len(set(parts))  # also none without a guess beside one with a guess
+
+
+def test_a_withheld_scene_has_one_track_and_the_images_of_its_sensor_alone(withheld: Published) -> None:
+    # A guess about one part would show a track without guesses which slot is left for another part.
+    public, full = Dataset(withheld.public), Dataset(withheld.full)
+    tracks = {scene.id: {query.track for query in scene.queries} for scene in public.split("test-all")}
+    assert {len(names) for names in tracks.values()} == {1}
+    for shard in {*public.shards("test").values()}:
+        for camera_set in (None, "three"):
+            file, whole = public.observation_file(shard, camera_set), full.observation_file(shard, camera_set)
+            for scene_id in file.scene_ids:
+                (track,) = tracks[scene_id]
+                assert {key.rpartition("/")[2] for key in file.view_keys(scene_id)} == {TRACKS[track].sensor}
+                assert {key.rpartition("/")[2] for key in whole.view_keys(scene_id)} == {"ideal", "d415", "photoneo"}
+    assert len({track for (track,) in tracks.values()}) > 1
+
+
+def test_scenes_for_training_and_validation_keep_all_tracks_and_sensors(withheld: Published) -> None:
+    for split in ("train", "val"):
+        scenes = list(Dataset(withheld.public).split(split))
+        scanner = {"photoneo"} if split == "val" else set()
+        assert {sensor for scene in scenes for sensor in scene.sensors} == {"ideal", "d415"} | scanner
+        assert {"snap", "snap-tilt", "snap-d415"} <= {query.track for scene in scenes for query in scene.queries}
+
+
+def test_a_recording_holds_nothing_but_its_observations(withheld: Published, tmp_path: Path) -> None:
+    paths = sorted((withheld.public / "test").glob("*.mcap"))
+    assert paths
+    for path in paths:
+        file = ObservationFile(path)
+        with ObservationWriter(tmp_path / path.name) as writer:
+            for scene_id in file.scene_ids:
+                writer.add(file.observation(scene_id))
+        assert (tmp_path / path.name).read_bytes() == path.read_bytes()
+
+
+def test_a_preview_is_drawn_from_the_images_that_are_shown(withheld: Published) -> None:
+    file = Dataset(withheld.public).observation_file("test/0000")
+    for observation in map(file.observation, file.scene_ids):
+        assert observation.preview is not None
+        assert np.array_equal(scene_picture(replace(observation, preview=None)), observation.preview)
+
+
+def test_a_withheld_dataset_has_no_curves() -> None:
+    for preset in PRESETS.values():
+        assert (withheld_preset(preset).curve_scenes, withheld_preset(preset).one_track) == (0, True)
+        assert not preset.one_track
+
+
+def test_no_two_guesses_share_an_error_or_its_direction(mini: Path) -> None:
+    tracks = set()
+    for clues in clues_by_part(mini, True, ["train", "val", "test-all"]).values():
+        errors = []
+        for clue in clues:
+            assert clue.goal is not None
+            errors.append(error_of(clue.guess, clue.goal, clue.query.pivot))
+            tracks.add(clue.query.track)
+        for (one, turn), (other, other_turn) in combinations(errors, 2):
+            assert np.linalg.norm(np.cross(one, other)) > 1e-3 * np.linalg.norm(one) * np.linalg.norm(other)
+            assert np.linalg.norm(turn - other_turn) > 1e-4
+            assert np.abs(one - other).min() > 1e-6
+        for group in groups(clues):
+            assert len({tuple(np.round(clue.guess.wxyz, 6)) for clue in group}) == len(group)
+    assert tracks == {"snap", "snap-tilt", "snap-d415", "snap-photoneo"}

@@ -1,10 +1,11 @@
-"""Rules of the code that no linter checks: sizes and names of files, public names, what an import loads."""
+"""Rules of the code and of the tests: short files, names after things, a tree of tests that mirrors the code."""
 
 from __future__ import annotations
 
 import ast
 import importlib
 import re
+import shutil
 import subprocess
 import sys
 from typing import Any
@@ -14,7 +15,7 @@ import tomli
 
 import kit1000
 from tests.samples.checkout import ROOT
-from tests.samples.sources import DOCUMENTS, modules, python_files
+from tests.samples.sources import DOCUMENTS, PACKAGES, modules, python_files
 
 LONGEST_FILE = 700
 NAMED_AFTER_NOTHING = {"utils", "util", "common", "helpers", "helper", "core", "base", "manager", "misc"}
@@ -77,3 +78,28 @@ def test_the_hosted_workflow_runs_the_same_command_on_the_oldest_and_newest_pyth
     assert "      - run: .ci/run\n" in workflow
     promised = [line.rpartition(" ")[2] for line in project()["classifiers"] if re.search(r"3\.\d+$", line)]
     assert f'python: ["{promised[0]}", "{promised[-1]}"]' in workflow
+
+
+TESTS = ROOT / "tests"
+OF_NO_PACKAGE = {"house", "outside", "samples"}  # rules and documents; bench/outside; what tests share
+FOLDERS = sorted({path.parent.relative_to(TESTS).as_posix() for path in TESTS.rglob("test_*.py")} - {"."})
+
+
+@pytest.mark.parametrize("folder", sorted({*FOLDERS} - OF_NO_PACKAGE))
+def test_a_folder_of_tests_is_a_package(folder: str) -> None:
+    package = folder if folder.split("/")[0] in PACKAGES else f"kit1000/{folder}"
+    assert (ROOT / package / "__init__.py").is_file()
+
+
+def test_folders_of_tests_hold_tests_and_samples_hold_none() -> None:
+    strays = [path for path in TESTS.rglob("*.py") if not path.name.startswith("test_")]
+    assert {path for path in strays if path.parent != TESTS / "samples"} == {TESTS / "conftest.py"}
+    assert not list((TESTS / "samples").rglob("test_*.py"))
+
+
+@pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")
+def test_an_unknown_area_is_answered_with_the_known_ones() -> None:
+    done = subprocess.run(["make", "-n", "test", "AREA=kit"], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert re.search(r"no tests of kit: .*\bkits known_shapes labelling metrics\b", done.stderr)
+    assert done.stderr.partition("one of ")[2].rstrip(". Stop\n").split() == FOLDERS

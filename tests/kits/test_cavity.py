@@ -112,21 +112,6 @@ def test_cavity_of_a_box_is_a_rounded_rectangle(clearance_mm: float, cut: Cut) -
     assert cavity.removed_wall_count == 0
 
 
-def test_cavity_of_a_widening_cone_is_a_cone_of_the_same_slope(cut: Cut) -> None:
-    _, cavity = cut("cone")
-    for z in heights(cavity):
-        radius = 6e-3 + 12e-3 * z / 24e-3 + 2.5e-3
-        reach = np.linalg.norm(outline_points(cavity.solid.slice(z).to_polygons()), axis=1)
-        assert reach.max() == pytest.approx(radius, abs=0.02e-3)
-        assert reach.min() == pytest.approx(radius, abs=0.03e-3)  # a chord of the cone's own 96 corners
-
-
-def test_a_narrowing_cone_leaves_the_shaft_of_its_foot(cut: Cut) -> None:
-    _, cavity = cut("cone upside down")
-    areas = [cavity.solid.slice(z).area() for z in heights(cavity)]
-    assert np.ptp(areas) < AREA_TOLERANCE
-
-
 @pytest.mark.parametrize("name", ["cone", "leaning", "lying cylinder"])
 def test_slopes_stay_slopes(name: str, cut: Cut) -> None:
     _, cavity = cut(name)

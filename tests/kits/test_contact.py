@@ -58,29 +58,6 @@ def test_just_above_contact_bodies_are_apart_and_just_below_they_are_not(seed: i
 
 
 @given(SEEDS)
-@settings(max_examples=25)
-def test_contact_agrees_with_a_fine_grid_of_envelopes(seed: int) -> None:
-    """A grid can only miss the highest point: its offset is a little smaller than that of the closed form."""
-    moving, fixed, pose = drawn(seed)
-    placed, cell = moving.moved(pose), 0.1e-3
-    upside = Mesh(fixed.vertices * [1, 1, -1], fixed.faces[:, ::-1])
-    low, corner_a = lower_envelope(placed, cell)
-    high, corner_b = lower_envelope(upside, cell)
-    shift = (corner_a - corner_b) / cell
-    placed = placed.moved(Pose.from_translation(np.array([*((np.round(shift) - shift) * cell), 0])))
-    low, corner_a = lower_envelope(placed, cell)
-    i, j = np.round((corner_a - corner_b) / cell).astype(int)
-    padded = np.full(np.array(low.shape) + 2 * np.array(high.shape), np.inf)
-    padded[high.shape[0] : -high.shape[0], high.shape[1] : -high.shape[1]] = low
-    window = padded[high.shape[0] - i :, high.shape[1] - j :][: high.shape[0], : high.shape[1]]
-    brute = float((-high - window).max())
-    moved = Pose(pose.wxyz, pose.xyz + [*((np.round(shift) - shift) * cell), 0])
-    exact = offset_of(moving, fixed, moved)
-    assert brute <= exact + 1e-9
-    assert exact - brute < 0.6e-3  # within a cell the steepest faces of these bodies fall by less
-
-
-@given(SEEDS)
 @settings(max_examples=40)
 def test_the_envelope_of_a_grid_is_the_lowest_of_plain_vertical_rays(seed: int) -> None:
     mesh = body(seed % 12)
@@ -159,11 +136,6 @@ def test_past_the_edge_there_is_no_contact() -> None:
     block = solid(box(10, 10, 10))
     assert offset_of(block, block, Pose.from_translation(np.array([10.01e-3, 0, 0]))) == -np.inf
     assert offset_of(block, block, Pose.from_translation(np.array([9.99e-3, 0, 0]))) == pytest.approx(10e-3)
-
-
-def test_a_body_hanging_free_has_a_negative_offset() -> None:
-    block = solid(box(10, 10, 10))
-    assert offset_of(block, block, Pose.from_translation(np.array([0, 0, 17e-3]))) == pytest.approx(-7e-3)
 
 
 def test_a_box_has_twelve_convex_edges() -> None:

@@ -88,12 +88,6 @@ def test_the_part_stands_stably_on_every_face(seed: int) -> None:
         assert face.height == pytest.approx(np.ptp(vertices[:, 2]))
 
 
-def test_a_cube_rests_on_each_face_equally_often() -> None:
-    faces = resting_faces(as_part(box(20, 20, 20)).mesh)
-    assert len(faces) == 6
-    assert [face.probability for face in faces] == pytest.approx([1 / 6] * 6)
-
-
 def test_unlikely_faces_are_left_out() -> None:
     tower = as_part(box(6, 7, 60)).mesh
     assert len(resting_faces(tower)) == 4

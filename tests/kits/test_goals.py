@@ -31,7 +31,6 @@ from tests.samples.shapes import (
     upturned_tee,
 )
 
-HEX = np.array([np.cos(np.pi / 6), np.sin(np.pi / 6), 0])
 CASES = {
     "box": (lambda: box(34, 22, 14), Symmetry.dihedral(2, Z, X), 4, None),
     "square prism": (lambda: box(22, 22, 30), Symmetry.dihedral(4, Z, X), 8, None),

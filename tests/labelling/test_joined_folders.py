@@ -26,10 +26,11 @@ from kit1000.labelling.labelled_folder import write_truth
 from kit1000.metrics import seatings
 from kit1000.perception.sensor_facts import SensorFacts, sensor_of
 from kit1000.pose import Pose
-from kit1000.submission import Manifest, write_submission
+from kit1000.submission import write_submission
 from kit1000.values import Prediction
 from tests.samples.forgotten_truth import write_forgotten
 from tests.samples.labelled_scenes import CLEARANCE, SCENE, sample_scene, shapes_folder, true_record
+from tests.samples.submissions import manifest
 
 OTHER = "test-s0001"
 PEOPLE = ("Ada", "Grace")
@@ -153,11 +154,9 @@ def test_the_benchmark_scores_it(real: Path, tmp_path: Path) -> None:
     dataset = Dataset(real)
     queries = list(dataset.split("test", truth=True).queries("place-d415"))
     rows = [Prediction(query.id, dataset.truth_of(query).goal_drawn, 0.5, 1.0) for query in queries]
-    manifest = Manifest(
-        method="true", authors=("us",), description="true motions", date="2026-01-01", dataset_id=dataset.id,
-        dataset_checksum=dataset.summary["checksum"], tracks=("place-d415",), learned=False, uses_true_geometry=False,
-    )  # fmt: skip
-    write_submission(tmp_path / "true", manifest, rows)
+    checksum = dataset.summary["checksum"]
+    described = manifest(dataset.id, dataset_checksum=checksum, tracks=("place-d415",), uses_true_geometry=False)
+    write_submission(tmp_path / "true", described, rows)
     assert main(["check", str(tmp_path / "true"), "--data", str(real)]) == 0
     assert benchmark(["score", str(tmp_path / "true"), "--data", str(real)]) == 0
     scores = read_json(tmp_path / "true/scores.json")

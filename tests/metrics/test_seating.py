@@ -382,12 +382,6 @@ def test_no_queries_have_no_results() -> None:
     assert results.seated.dtype == bool
 
 
-def test_results_are_read_only() -> None:
-    truth = truth_of("round")
-    with pytest.raises(ValueError, match="read-only"):
-        results_of((truth, truth.slot.goals[0])).seated[0] = False
-
-
 def test_wrong_input_is_refused() -> None:
     truth = truth_of("round")
     with pytest.raises(ShapeError, match=r"predicted: expected a batch of shape \(1,\)"):

@@ -15,7 +15,6 @@ from bench.outside.viewers import check_fault, convert_fault, screenshot_fault, 
 from tests.samples.checkout import ROOT
 
 LAYOUT = ROOT / "docs/assets/foxglove-layout.json"
-GOOD_CHECK = "Status  ID  Chunks  Topic  Issues\nok       1       1  /{0}  -\n"
 
 
 def program(path: Path, text: str = "", status: int = 0, writes: str | None = None) -> Path:

@@ -14,7 +14,7 @@ from bench.outside.portable import OLD_PROCESSOR
 from kit1000.queries.guesses import draw_direction, draw_tilt_error
 from tests.samples.checkout import ROOT
 from tests.samples.mini import file_hashes
-from tests.sim.test_settle import SHAPES, drops, part_of
+from tests.sim.test_world import SHAPES, drops, part_of
 
 GENERATE_MINI = """
 import sys

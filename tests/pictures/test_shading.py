@@ -18,7 +18,6 @@ from kit1000.pictures.shading import (
     PAPER,
     PART,
     SECONDARY,
-    TEAL,
     ColouredBody,
     contact_sheet,
     framing_camera,
@@ -85,24 +84,10 @@ def test_without_bodies_there_is_only_the_background():
     assert (image == PAPER).all()
 
 
-def test_background_keeps_its_colour_without_a_ground():
-    image = picture([ColouredBody(BALL, IDENTITY, PART)], background=(10, 90, 200), ground=False)
-    v, u = np.mgrid[:90, :120]
-    far = np.hypot(u - 59.5, v - 44.5) > 30
-    assert (image[far] == (10, 90, 200)).all()
-
-
 @pytest.mark.parametrize("colour", [KIT, PART, *SECONDARY])
 def test_a_level_face_has_the_colour_of_its_body(colour: tuple[int, int, int]):
     image = picture([ColouredBody(BOX, IDENTITY, colour)], ABOVE)
     assert np.abs(image[45, 60].astype(int) - colour).max() <= 20
-
-
-def test_each_body_has_its_own_colour():
-    left, right = Pose.from_translation((-0.04, 0, 0)), Pose.from_translation((0.04, 0, 0))
-    image = picture([ColouredBody(BALL, left, PART), ColouredBody(BALL, right, TEAL)], ABOVE).astype(int)
-    assert image[45, 40, 0] > image[45, 40, 2] + 60
-    assert image[45, 80, 2] > image[45, 80, 0] + 60
 
 
 def test_a_body_casts_a_shadow_on_the_ground_only():

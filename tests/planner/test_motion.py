@@ -1,8 +1,9 @@
-"""Motions: times of trapezoids, lines of the tool, joint moves and paths around obstacles."""
+"""Motions of the robot: kinematics, speed profiles, lines and ways around walls."""
 
 from __future__ import annotations
 
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,7 +24,23 @@ from kit1000.planner.motion import (
     move_legs,
     turned_near,
 )
-from kit1000.planner.robot import HOME, JOINT_LIMITS, JOINT_SPEED, tool_pose
+from kit1000.planner.robot import (
+    ALPHA,
+    ARM,
+    CUPS,
+    HOME,
+    JOINT_LIMITS,
+    JOINT_SPEED,
+    TOOL_LENGTH,
+    A,
+    D,
+    capsule_ends,
+    inverse,
+    link_frames,
+    shape,
+    tool_pose,
+    within_limits,
+)
 from kit1000.pose import Pose
 
 JOINTS = st.lists(st.floats(-2.5, 2.5), min_size=6, max_size=6).map(np.array)
@@ -124,3 +141,113 @@ def test_a_free_way_is_taken_straight_and_none_is_found_where_there_is_none() ->
     assert len(find_path(start, end, lambda joints: True, np.random.default_rng(0))) == 2  # pyright: ignore[reportArgumentType]
     closed = lambda joints: not (np.abs(joints[:, 0] - 0.5) < 0.2).any()  # noqa: E731
     assert find_path(start, end, closed, np.random.default_rng(0)) is None
+
+
+ANGLES = st.lists(st.floats(-np.pi, np.pi), min_size=6, max_size=6).map(np.array)
+RNG = np.random.default_rng(3)
+
+
+def turn_distance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The largest difference of two joint positions up to whole turns."""
+    return np.abs(np.exp(1j * a) - np.exp(1j * b)).max(-1)
+
+
+def test_ten_thousand_poses_are_reached_exactly_and_their_own_joints_are_among_the_answers() -> None:
+    joints = RNG.uniform(-np.pi, np.pi, (10_000, 6))
+    poses = tool_pose(joints)
+    found = inverse(poses)
+    valid = np.asarray(np.isfinite(found).all(-1))
+    reached = tool_pose(np.where(valid[..., None], found, 0.0))
+    assert np.linalg.norm(reached.xyz - poses.xyz[:, None], axis=-1)[valid].max() < 1e-9
+    assert (reached.inverse() @ poses[:, None]).angle()[valid].max() < 1e-9
+    assert np.nanmin(np.where(valid, turn_distance(found, joints[:, None]), np.inf), axis=1).max() < 1e-7
+    assert valid.sum(1).mean() > 6
+
+
+@given(ANGLES)
+def test_every_answer_reaches_the_pose_also_near_singular_ones(joints: np.ndarray) -> None:
+    pose = tool_pose(joints)
+    found = inverse(pose)
+    reached = tool_pose(found[np.isfinite(found).all(-1)])
+    assert np.abs(reached.xyz - pose.xyz).max(initial=0) < 1e-6
+    assert (reached.inverse() @ pose).angle().max(initial=0) < 1e-6
+
+
+@pytest.mark.parametrize("wrist", [0.0, np.pi])
+def test_a_straight_wrist_has_an_answer(wrist: float) -> None:
+    """Only the sum of joints 4 and 6 counts there."""
+    pose = tool_pose(np.array([0.4, -1.2, 1.5, -0.7, wrist, 0.9]))
+    found = inverse(pose)
+    reached = tool_pose(found[np.isfinite(found).all(-1)])
+    assert len(reached) >= 2
+    assert np.abs(reached.xyz - pose.xyz).max() < 1e-7
+
+
+def test_out_of_reach_there_is_no_answer() -> None:
+    assert np.isnan(inverse(Pose.from_translation([2.0, 0.0, 0.3]))).all()
+    assert np.isnan(inverse(Pose.from_rotvec([np.pi, 0, 0], [0.05, 0.0, 0.2]))).all()  # within the column
+
+
+def test_one_pose_and_a_batch_give_the_same_bits() -> None:
+    poses = tool_pose(RNG.uniform(-2, 2, (5, 6)))
+    np.testing.assert_array_equal(inverse(poses)[3], inverse(poses[3]))
+
+
+def test_at_home_the_cup_points_down_in_front_of_the_base() -> None:
+    home = tool_pose(HOME)
+    assert home.rotation_matrix()[:, 2] == pytest.approx([0, 0, -1], abs=1e-9)
+    assert home.xyz[0] > 0.2
+    assert within_limits(HOME)
+
+
+def test_links_are_as_long_as_published() -> None:
+    _, origins = link_frames(RNG.uniform(-3, 3, (50, 6)))
+    lengths = np.linalg.norm(np.diff(origins, axis=-2), axis=-1)
+    assert lengths == pytest.approx(np.broadcast_to(np.hypot(A, D), lengths.shape))
+
+
+def test_the_nozzle_ends_at_the_lip_of_the_cup() -> None:
+    joints = RNG.uniform(-3, 3, (20, 6))
+    for cup in CUPS:
+        ends = capsule_ends(joints, cup)
+        assert ends.shape == (20, len(ARM) + 1, 2, 3)
+        tool = tool_pose(joints)
+        lip = ends[:, -1, 1] + shape(cup)[-1].radius * tool.rotation_matrix()[..., 2]
+        assert lip == pytest.approx(tool.xyz)
+
+
+def urdf() -> str:
+    """The arm as URDF text: what a joint turns stands before it, so that each origin is the fixed half of a link."""
+    lines, parent = ['<robot name="arm"><link name="base"/>'], "base"
+    inertia = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    for i in range(6):
+        a, d, roll = (A[i - 1], D[i - 1], ALPHA[i - 1] * np.pi / 2) if i else (0.0, 0.0, 0.0)
+        lines.append(
+            f'<link name="link{i}">{inertia}</link><joint name="joint{i}" type="revolute"><parent link="{parent}"/>'
+            f'<child link="link{i}"/><origin xyz="{a:.6f} 0 {d:.6f}" rpy="{roll:.17g} 0 0"/><axis xyz="0 0 1"/>'
+            f'<limit lower="-6.3" upper="6.3" effort="1" velocity="1"/></joint>'
+        )
+        parent = f"link{i}"
+    lines.append(
+        f'<link name="tool">{inertia}</link><joint name="cup" type="fixed"><parent link="{parent}"/>'
+        f'<child link="tool"/><origin xyz="0 0 {D[5] + TOOL_LENGTH:.6f}"/></joint></robot>'
+    )
+    return "".join(lines)
+
+
+def test_pybullet_agrees_on_the_forward_kinematics(tmp_path: Path) -> None:
+    bullet = pytest.importorskip("pybullet")
+    (tmp_path / "arm.urdf").write_text(urdf())
+    client = bullet.connect(bullet.DIRECT)
+    try:
+        arm = bullet.loadURDF(str(tmp_path / "arm.urdf"), useFixedBase=True, physicsClientId=client)
+        for joints in RNG.uniform(-np.pi, np.pi, (100, 6)):
+            for i in range(6):
+                bullet.resetJointState(arm, i, joints[i], physicsClientId=client)
+            state = bullet.getLinkState(arm, 6, computeForwardKinematics=True, physicsClientId=client)
+            tool = tool_pose(joints)
+            assert np.abs(np.array(state[4]) - tool.xyz).max() < 1e-5
+            judged = Pose(np.roll(state[5], 1), np.array(state[4]))
+            assert (judged.inverse() @ tool).angle() < 1e-4
+    finally:
+        bullet.disconnect(client)

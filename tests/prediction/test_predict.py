@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from baselines.__main__ import main
-from baselines.catalog import all_methods, run_config
+from baselines.catalog import run_config
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError, InternalError
 from kit1000.pose import Pose
@@ -267,11 +267,6 @@ def test_a_run_without_queries_is_refused(config: runner.RunConfig, message: str
     with pytest.raises(InputError, match=message):
         predict(config, mini, tmp_path / "out", 1)
     assert not list(tmp_path.iterdir())
-
-
-def test_the_command_lists_all_methods(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["list"]) == 0
-    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == list(all_methods())
 
 
 def test_the_command_predicts_and_prints_what_it_wrote(

@@ -80,7 +80,7 @@ def scores(manifest: Manifest, position_mm: float, rotation_deg: float, seconds:
     if CURVES in manifest.tracks:
         ids += [(query_id, CURVES) for query_id in curve_ids(4)]
     rows = _rows(manifest, ids, position_mm, rotation_deg, seconds)
-    return json_text(_provenance(manifest, protocol) | summarise(rows, protocol, manifest.predicts == "rotation"))
+    return json_text(provenance(manifest, protocol) | summarise(rows, protocol, manifest.predicts == "rotation"))
 
 
 def curve_ids(scenes: int) -> list[str]:
@@ -89,7 +89,8 @@ def curve_ids(scenes: int) -> list[str]:
     return [curve_id(f"test-s{k:04}", 0, varied, level, fixed) for k, varied, level, fixed in levels]
 
 
-def _provenance(manifest: Manifest, protocol: Protocol) -> dict[str, object]:
+def provenance(manifest: Manifest, protocol: Protocol) -> dict[str, object]:
+    """The setting of a score, with the predictions of the board."""
     return {
         "protocol": protocol.name,
         "status": protocol.status,

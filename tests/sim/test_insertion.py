@@ -62,13 +62,6 @@ def test_a_push_accelerates_along_the_world_axes() -> None:
     assert angular == pytest.approx(rotation @ (rotation.T @ torque / MOMENTS) / STEP_RATE, rel=1e-3)
 
 
-def test_a_body_without_mass_does_not_move() -> None:
-    with World() as world:
-        block = world.add_hull(CUBE, 0.0, np.zeros(3), Pose.from_translation([0, 0, 0.5]))
-        world.step(STEP_RATE)
-        assert world.pose(block).xyz[2] == 0.5
-
-
 class Peg:
     """A part, and its kit on a foot that tilts it."""
 

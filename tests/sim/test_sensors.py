@@ -6,15 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import uniform_filter1d
 from scipy.stats import norm
 
-from kit1000.camera import Camera
+from kit1000.camera import Camera, look_at
+from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.rng import stream
 from kit1000.sim.noise_fields import add_enlarged, box_means, smooth_field, uniform_of, windowed_noise
+from kit1000.sim.render import render
 from kit1000.sim.sensors import (
     BENDING_AT,
     DEPTH_GRID,
@@ -28,8 +31,6 @@ from kit1000.sim.sensors import (
 )
 from kit1000.sim.stereo import EDGE_STEP, disparity_from_depth, grazing_mask, occlusion_mask
 from kit1000.values import View
-from tests.samples import depth_scenes
-from tests.samples.depth_scenes import boxes, plane, rays, scene
 
 CAMERA = Camera(1280, 720, 925.0, 925.0, 639.5, 359.5)
 SMALL = Camera(320, 240, 925.0, 925.0, 159.5, 119.5)
@@ -261,7 +262,7 @@ def test_depth_scale_and_recorded_pose_have_the_stated_errors() -> None:
 
 
 def test_ideal_depth_is_the_rendered_one_to_half_a_step_of_the_grid() -> None:
-    view = depth_scenes.scene()
+    view = scene()
     measured = sense("ideal", view, stream(0))
     assert measured.world_from_camera is view.world_from_camera
     assert np.abs(measured.depth.astype(float) - view.depth).max() <= DEPTH_GRID / 2
@@ -270,7 +271,7 @@ def test_ideal_depth_is_the_rendered_one_to_half_a_step_of_the_grid() -> None:
 
 @pytest.mark.parametrize("name", SENSORS)
 def test_depths_lie_on_the_grid_and_within_range(name: str) -> None:
-    view = depth_scenes.plane(CAMERA, (0, -1, 0.3), 0.7)  # from right below the camera to the horizon
+    view = plane(CAMERA, (0, -1, 0.3), 0.7)  # from right below the camera to the horizon
     depth = sense(name, view, stream(3)).depth
     assert depth.dtype == np.float32
     np.testing.assert_array_equal(depth, np.rint(depth.astype(float) / DEPTH_GRID) * DEPTH_GRID)
@@ -282,7 +283,7 @@ def test_depths_lie_on_the_grid_and_within_range(name: str) -> None:
 
 @pytest.mark.parametrize("name", SENSORS)
 def test_pixels_without_a_surface_give_no_return(name: str) -> None:
-    view = depth_scenes.scene(polar=1.2)
+    view = scene(polar=1.2)
     empty = view.depth == 0
     assert empty.any()
     assert not sense(name, view, stream(1)).depth[empty].any()
@@ -429,3 +430,37 @@ def test_an_enlarged_field_is_bilinear_between_its_values(shape: tuple[int, int]
             four = wrapped[y : y + 2, x : x + 2].astype(float)
             expected = 1 + 3 * (np.array([1 - b, b]) @ four @ np.array([1 - a, a]))
             assert out[v, u] == pytest.approx(expected, abs=1e-5)
+
+
+def rays(camera: Camera) -> np.ndarray:
+    """(H, W, 3) points at depth 1 m behind each pixel centre."""
+    v, u = np.mgrid[: camera.height, : camera.width]
+    return np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)], axis=-1)
+
+
+def plane(camera: Camera, normal: tuple[float, float, float], distance: float) -> View:
+    """An infinite plane that intersects the optical axis at `distance`; depth 0 where it is invisible."""
+    facing = rays(camera) @ np.asarray(normal)
+    visible = facing * normal[2] > 1e-3
+    depth = np.where(visible, distance * normal[2] / np.where(visible, facing, 1), 0)
+    return View(camera, Pose.identity(), depth.astype(np.float32))
+
+
+def boxes(camera: Camera, world_from_camera: Pose) -> View:
+    """A table with two boxes and a thin post, its edges in view."""
+    bodies = (
+        ((0.8, 1.0, 0.04), (0, 0, -0.02)),
+        ((0.1, 0.1, 0.06), (0, 0.15, 0.03)),
+        ((0.05, 0.03, 0.12), (0.1, -0.1, 0.06)),
+        ((0.006, 0.006, 0.2), (0.05, 0.02, 0.1)),
+    )
+    meshes = [trimesh.creation.box(extents=size) for size, _ in bodies]
+    solids = [Mesh(np.array(mesh.vertices), np.array(mesh.faces, np.int32)) for mesh in meshes]
+    places = [Pose.from_translation(np.array(place, float)) for _, place in bodies]
+    image = render(camera, world_from_camera, list(zip(solids, places, strict=True)), threads=1)
+    return View(camera, world_from_camera, image.depth)
+
+
+def scene(radius: float = 0.8, polar: float = 0.8) -> View:
+    """The boxes from a distance [m], at an angle [rad] from straight above."""
+    return boxes(CAMERA, look_at((radius * np.sin(polar), 0, radius * np.cos(polar)), (0, 0, 0)))

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -82,16 +81,6 @@ def test_faces_exactly_on_voxel_centres_have_the_closed_form(shift: float) -> No
     np.testing.assert_allclose(values, np.clip(distance / 3, -1, 1), atol=1e-6)
 
 
-def test_a_sphere_has_its_closed_form() -> None:
-    ball = trimesh.creation.icosphere(subdivisions=5, radius=0.02)
-    mesh = Mesh(np.array(ball.vertices), np.array(ball.faces, dtype=np.int32))
-    grid = Grid.centred(ROTATED, (60, 60, 60), 1e-3)
-    values = signed_distance(grid, [(mesh, ROTATED)]).values
-    distance = np.linalg.norm(ROTATED.inverse().apply(grid.centres()), axis=-1) - 0.02
-    sagitta = 0.02 * (1 - np.cos(np.pi / 5 / 2**5))
-    np.testing.assert_allclose(values, np.clip(distance / 5e-3, -1, 1), atol=1.5 * sagitta / 5e-3)
-
-
 @pytest.mark.parametrize("seed", range(6))
 def test_agrees_with_open3d(seed: int) -> None:
     open3d = pytest.importorskip("open3d", exc_type=ImportError)
@@ -152,14 +141,6 @@ def test_several_bodies_give_the_minimum_over_each() -> None:
 
 def test_without_bodies_all_voxels_are_free() -> None:
     assert (signed_distance(Grid((3, 3, 3), 1.0, IDENTITY), []).values == 1).all()
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_occupied_voxels_add_up_to_the_volume(seed: int) -> None:
-    mesh = solid(seed)
-    shape = tuple(int(n) for n in np.ceil(mesh.extents / 0.4e-3) + 5)
-    volume = signed_distance(Grid.centred(IDENTITY, (shape[0], shape[1], shape[2]), 0.4e-3), [(mesh, IDENTITY)])
-    assert volume.occupied.sum() * 0.4e-3**3 == pytest.approx(mesh.volume, rel=0.01)
 
 
 @given(move=poses())

@@ -5,7 +5,6 @@ from __future__ import annotations
 import pickle
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -46,11 +45,6 @@ POSITION = PositionConfig(VOXEL, (32, 32, 32), CELLS, (8, 8, 8))
 ROTATION = RotationConfig(VOXEL, (32, 32, 32), CELLS, "inside", 300, 400, training_candidates=9, jitter=0.0)
 WORLD_MOTION = Pose.from_rotvec((0, 0, 2.0), (0.4, -0.3, 0.0))
 YAWED = Pose.from_rotvec((0, 0, 0.7))
-
-
-@pytest.fixture(scope="module")
-def data(mini: Path) -> Dataset:
-    return Dataset(mini)
 
 
 def sampler(data: Dataset, source: Source = "truth") -> QuerySampler:

@@ -30,11 +30,6 @@ POSITION = PositionConfig(4e-3, (16, 16, 16), (32, 32, 32), (9, 9, 9), (2, 2, 4,
 ROTATION = RotationConfig(4e-3, (16, 16, 16), (24, 24, 24), "surface", 32, 64, 0.1, (8, 4), (0.1, 0.1))
 
 
-@pytest.fixture(scope="module")
-def data(mini: Path) -> Dataset:
-    return Dataset(mini)
-
-
 def untrained(data: Dataset, source: Source) -> SnapNet:
     torch.manual_seed(0)
     return SnapNet(data, source, PositionNet(POSITION), RotationNet(ROTATION))

@@ -12,10 +12,9 @@ from torch import Tensor, nn
 
 from baselines.snapnet import convolutions
 from baselines.snapnet.config import POSITION, PositionConfig
-from baselines.snapnet.convolutions import SingleChannelConv, UpsampleConcatConv, correlate, downsampled
+from baselines.snapnet.convolutions import SingleChannelConv, correlate, downsampled
 from baselines.snapnet.position import Encoder, PositionNet, kit_region, position_loss, position_of, target_of
 from kit1000.errors import InputError
-from tests.samples.plain_position_net import plain_features, plain_scores
 
 TOY = PositionConfig(1e-3, (16, 16, 32), (48, 32, 64), (8, 8, 9), channels=(2, 3, 4, 5, 6), features=3)
 LOSS = PositionConfig(2e-3, (16, 16, 16), (32, 32, 32), (6, 7, 8))
@@ -47,12 +46,6 @@ def test_parameters_are_as_many_as_in_the_paper() -> None:
     assert (encoder.u1.in_channels, encoder.u2.in_channels, encoder.u3.in_channels) == (384, 192, 96)
 
 
-@pytest.mark.parametrize("config", [TOY, replace(TOY, window=(4, 1, 17)), replace(TOY, kit_cells=(64, 48, 96))])
-def test_scores_have_the_window_s_shape_whatever_the_context(config: PositionConfig) -> None:
-    net, part, kit = toy(config)
-    assert net(part, kit).shape == (2, *config.window)
-
-
 @pytest.mark.parametrize("preset", POSITION)
 def test_presets_fit(preset: str) -> None:
     config = POSITION[preset]
@@ -65,12 +58,19 @@ def test_presets_fit(preset: str) -> None:
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @pytest.mark.parametrize(
-    "config", [TOY, replace(TOY, kit_cells=(64, 48, 96)), replace(TOY, kit_cells=(32, 32, 48), window=(9, 9, 9))]
+    "config",
+    [
+        TOY,
+        replace(TOY, kit_cells=(64, 48, 96)),
+        replace(TOY, kit_cells=(32, 32, 48), window=(9, 9, 9)),
+        replace(TOY, window=(4, 1, 17)),
+    ],
 )
 def test_scores_are_those_of_the_plain_scheme(config: PositionConfig, dtype: torch.dtype) -> None:
     net, part, kit = toy(config)
     ours = net.to(dtype)(part.to(dtype), kit.to(dtype))
     plain = plain_scores(net.double(), part.double(), kit.double())
+    assert ours.shape == plain.shape == (2, *config.window)
     assert plain.std() > 1e-3
     assert (centred(ours) - centred(plain)).abs().max() < (1e-4 if dtype is torch.float32 else 1e-10)
 
@@ -85,15 +85,6 @@ def test_gradients_are_those_of_the_plain_scheme() -> None:
     ]
     for ours, plain in zip(*taken, strict=True):
         assert torch.allclose(ours, plain, rtol=1e-8, atol=1e-10)
-
-
-def test_correlation_is_its_sum() -> None:
-    part, kit, window = torch.randn(2, 3, 2, 3, 4), torch.randn(2, 3, 5, 5, 7), (4, 3, 2)
-    ours = correlate(part, kit, window)
-    centred_kit = kit - kit.mean(dim=(2, 3, 4), keepdim=True)
-    for b, x, y, z in ((0, 0, 0, 0), (1, 3, 2, 1), (1, 0, 1, 1), (0, 2, 0, 1)):
-        expected = (part[b] * centred_kit[b, :, x : x + 2, y : y + 3, z : z + 4]).sum()
-        assert torch.isclose(ours[b, x, y, z], expected, atol=1e-5)
 
 
 def test_correlation_keeps_small_differences_beside_large_sums() -> None:
@@ -118,18 +109,6 @@ def test_moving_the_kits_by_a_coarsest_cell_moves_all_scores_alike() -> None:
     kit[:, :112] = kit[:, -112:] = 1  # constant near the borders
     still, moved = net(part, kit), net(part, kit.roll(16, dims=1))
     assert (centred(moved[:, 8:]) - centred(still[:, :-8])).abs().max() < 1e-4 * still.std()
-
-
-def test_the_upsampling_layer_is_upsampling_concatenation_and_convolution() -> None:
-    layer, fine, coarse = UpsampleConcatConv(3, 5, 4), torch.randn(2, 3, 6, 4, 8), torch.randn(2, 5, 3, 2, 4)
-    concatenated = torch.cat([fine, F.interpolate(coarse, scale_factor=2.0)], dim=1)
-    expected = F.conv3d(concatenated, layer.weight, layer.bias, padding=1)
-    assert torch.allclose(layer(fine, coarse), expected, atol=1e-5)
-
-
-def test_the_single_channel_layer_is_a_convolution() -> None:
-    first, volume = SingleChannelConv(4), torch.randn(2, 1, 5, 6, 7)
-    assert torch.allclose(first(volume), F.conv3d(volume, first.weight, first.bias, padding=1), atol=1e-5)
 
 
 @pytest.mark.parametrize("rows", [1, 3, 4])
@@ -261,3 +240,27 @@ def test_the_network_names_no_device() -> None:
     loss = position_loss(scores, torch.zeros(2, 3, device="meta"), TOY)
     assert loss.device.type == "meta"
     loss.mean().backward()
+
+
+def plain_scores(net: PositionNet, part: Tensor, kit: Tensor) -> Tensor:
+    """The scores of `net`, by the release's scheme: (B, px, py, pz), (B, kx, ky, kz) -> (B, wx, wy, wz)."""
+    batch, window = len(part), net.config.window
+    key = F.pad(plain_features(net.kit, kit), (0, 1) * 3)  # the padded query may reach one behind the end
+    query = F.pad(plain_features(net.part, part), (0, 1) * 3)  # (B, F, p/2 + 1, ...)
+    for axis, (first, _) in enumerate(net.region, start=2):
+        key = key.narrow(axis, first, query.shape[axis] + window[axis - 2] - 1)
+    sums = F.conv3d(key.flatten(0, 1)[None], query.flatten(0, 1)[:, None], groups=key.shape[:2].numel())
+    return sums.unflatten(1, (batch, -1))[0].sum(dim=1)  # (B, wx, wy, wz)
+
+
+def plain_features(net: Encoder, volume: Tensor) -> Tensor:
+    """The features of the encoder, module by module: (B, x, y, z) -> (B, F, x/2, y/2, z/2)."""
+    d1 = F.relu(net.d1(volume[:, None]))
+    d2 = F.relu(net.d2(d1))
+    d3 = F.relu(net.d3(d2))
+    d4 = F.relu(net.d4(d3))
+    features = F.relu(net.b(d4))
+    for layer, fine in ((net.u1, d4), (net.u2, d3), (net.u3, d2)):
+        concatenated = torch.cat([fine, F.interpolate(features, scale_factor=2.0)], dim=1)
+        features = F.relu(F.conv3d(concatenated, layer.weight, layer.bias, padding=1))
+    return net.f(features)

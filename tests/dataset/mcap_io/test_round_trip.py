@@ -1,14 +1,17 @@
-"""Tests of recordings: equal to the bit when read back, valid for viewers, damage detected."""
+"""Recordings come back to the bit, in the order and the chunks that readers and viewers need."""
 
 from __future__ import annotations
 
 import io
 import json
+import os
+import pickle
+import shutil
 import struct
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from hashlib import sha256
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +21,13 @@ import pytest
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from hypothesis import HealthCheck, given, settings
 from mcap.reader import make_reader
+from mcap.records import Chunk, McapRecord
+from mcap.stream_reader import breakup_chunk
 from mcap_protobuf.decoder import DecoderFactory
 from PIL import Image
 
 from kit1000.camera import Camera
-from kit1000.dataset.mcap_io import ObservationFile, ObservationWriter, TruthFile
+from kit1000.dataset.mcap_io import ObservationFile, ObservationWriter, TruthFile, reading, writing
 from kit1000.dataset.mcap_io.content_hash import observation_hash, truth_hash
 from kit1000.dataset.scene_data import Observation
 from kit1000.errors import InputError
@@ -161,20 +166,6 @@ def test_small_messages_are_one_chunk_of_a_scene_and_each_image_is_another(large
         assert chunk.message_end_time == chunk.message_start_time
         assert chunk.compression == "zstd"
     assert len(summary.chunk_indexes) == 5 * 6
-
-
-def chunk_messages(path: Path, k: int) -> list[str]:
-    with open(path, "rb") as file:
-        messages = list(make_reader(file).iter_messages())
-    return [c.topic for _, c, m in messages if m.log_time // 10**9 == 1_767_225_600 + k]
-
-
-def test_small_messages_come_first(seen: Path) -> None:
-    cameras, rest = (
-        ["/ideal/camera", "/d415/camera", "/preview/camera"],
-        ["/ideal/labels", "/ideal/depth", "/d415/depth"],
-    )
-    assert chunk_messages(seen, 1) == [*cameras, "/tf", *["/query"] * 3, "/preview", "/points", *rest]
 
 
 def test_viewers_find_a_calibration_and_a_frame_for_every_depth_image(tmp_path: Path, seen: Path) -> None:
@@ -331,5 +322,64 @@ def test_the_content_hash_has_not_changed() -> None:
     assert observation_hash(scene) == sha256(told + depth + masks).hexdigest()
 
 
-def test_no_other_table_format_is_needed() -> None:
-    assert "pyarrow" not in {str(item.metadata["Name"]).lower() for item in metadata.distributions()}
+@pytest.fixture
+def bytes_read(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """The compressed sizes of all chunks that are read later."""
+    sizes: list[int] = []
+
+    def breakup(chunk: Chunk, validate_crc: bool) -> list[McapRecord]:
+        sizes.append(len(chunk.data))
+        return breakup_chunk(chunk, validate_crc)
+
+    monkeypatch.setattr(reading, "breakup_chunk", breakup)
+    return sizes
+
+
+def test_only_the_requested_messages_are_read(large: Path, bytes_read: list[int]) -> None:
+    file, scene = ObservationFile(large), large.stat().st_size / 5
+    assert len(file.scene_ids) == 5
+    assert not bytes_read
+    assert [row["part"] for row in file.queries("test-s0003")] == [0, 1, 2]
+    assert sum(bytes_read) < scene / 100
+    file.view("test-s0003", "ideal")
+    assert sum(bytes_read) < 0.6 * scene
+    file.view("test-s0003", "ideal")
+    file.queries("test-s0003")
+    assert len(bytes_read) == 2
+    file.observation("test-s0003")
+    assert sum(bytes_read) <= scene
+
+
+def test_images_stay_valid_when_their_chunk_leaves_the_cache(large: Path, tmp_path: Path) -> None:
+    file = ObservationFile(large)
+    depths = {scene_id: file.view(scene_id).depth for scene_id in file.scene_ids}
+    other = ObservationFile(Path(shutil.copy(large, tmp_path / "other.mcap")))
+    assert len([other.view(scene_id) for scene_id in other.scene_ids]) > reading.RECENT
+    for k in range(5):
+        assert depths[f"test-s{k:04d}"].tobytes() == observation(k, BIG).views["ideal"].depth.tobytes()
+
+
+def test_a_file_can_be_used_in_other_processes_and_threads(large: Path) -> None:
+    file = ObservationFile(large)
+    wanted = file.view("test-s0001").depth.tobytes()
+    copy = pickle.loads(pickle.dumps(file))
+    assert copy.view("test-s0001").depth.tobytes() == wanted
+    child = os.fork()
+    if child == 0:
+        os._exit(0 if file.view("test-s0001", "d415").depth.any() and file.queries("test-s0004") else 1)
+    file.view("test-s0003", "d415")
+    assert os.waitpid(child, 0)[1] == 0
+    with ThreadPoolExecutor(4) as threads:
+        k = [i % 5 for i in range(40)]
+        found = list(threads.map(lambda i: file.view(f"test-s{i:04d}", "d415").depth.tobytes(), k))
+    assert found == [observation(i, BIG).views["d415"].depth.tobytes() for i in k]
+
+
+def test_a_file_of_data_2_0_0_with_a_chunk_for_each_scene_is_read_alike(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scenes = [observation(k) for k in range(3)]
+    monkeypatch.setattr(writing, "LARGE", ())
+    file = ObservationFile(write(tmp_path / "older.mcap", scenes))
+    assert file.view_keys("test-s0001") == ("ideal", "d415")
+    assert all(same(file.observation(scene.scene_id), scene) for scene in scenes)

@@ -39,10 +39,6 @@ def soup_of(*solids: Manifold) -> tuple[np.ndarray, np.ndarray]:
     return corners, np.arange(len(corners)).reshape(-1, 3)
 
 
-def notes_of(*solids: Manifold) -> list[str]:
-    return repaired(*soup_of(*solids))[1]
-
-
 def tube_along(centre: Callable[[np.ndarray], np.ndarray], radius: float, n: int) -> Mesh:
     """A tube round a closed curve."""
     t = np.linspace(0, 2 * np.pi, n, endpoint=False)

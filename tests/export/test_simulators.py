@@ -1,4 +1,4 @@
-"""Tests of the URDF export: it reads back as the same assembly, in convex pieces, with correct mass and inertia."""
+"""URDF and MJCF: pieces, masses and poses are those of the scene, and simulators agree."""
 
 from __future__ import annotations
 
@@ -11,13 +11,16 @@ import pytest
 from hypothesis import given
 from manifold3d import Manifold
 
+from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.errors import InputError
+from kit1000.export import export
 from kit1000.export.urdf import roll_pitch_yaw, write_urdf
 from kit1000.kits.assembly import AssemblyPlan, SidePlate, build_assembly
 from kit1000.kits.kit import make_kit
 from kit1000.mesh import Mesh, inertia, mesh_from_solid, solid_from_mesh
 from kit1000.parts.family import DENSITY
 from kit1000.pose import Pose, quaternion_angle
+from kit1000.sim.world import FRICTION
 from kit1000.symmetry import Symmetry
 from kit1000.values import Assembly
 from tests.samples.kits import sample_kit, sample_part
@@ -134,25 +137,6 @@ def test_roll_pitch_yaw_give_the_same_rotation(pose: Pose) -> None:
     assert quaternion_angle((z @ y @ x).wxyz, pose.wxyz) < 1e-7
 
 
-def test_an_existing_folder_is_not_changed(assembly: Assembly, tmp_path: Path) -> None:
-    (tmp_path / "other").touch()
-    with pytest.raises(InputError, match="exists already"):
-        write_urdf(assembly, tmp_path)
-    assert [path.name for path in tmp_path.iterdir()] == ["other"]
-
-
-def test_nothing_is_left_of_an_export_that_fails(
-    assembly: Assembly, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(*_: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("kit1000.export.urdf.support_meshes", full)
-    with pytest.raises(InputError, match=r"cannot write .*: No space left on device"):
-        write_urdf(assembly, tmp_path / "new")
-    assert list(tmp_path.iterdir()) == []
-
-
 def dropped(urdf: Path, start: Pose, halves: np.ndarray, scale: float = 1.0) -> np.ndarray:
     """The rest position (3,) [m] in Bullet of a box with some half extents, released 35 mm above a pose."""
     client = bullet.connect(bullet.DIRECT)
@@ -203,3 +187,65 @@ def test_the_margin_is_bullets_own_and_shrinks_with_the_scale(block: tuple[Path,
     tight = halves + [CLEARANCE - 1e-3, CLEARANCE - 1e-3, 0]  # a gap no wider than the margin
     assert dropped(urdf, seated, tight)[2] - seated.xyz[2] > depth / 3  # it jams
     assert dropped(urdf, seated, tight, scale=10)[2] - seated.xyz[2] == pytest.approx(MARGIN / 10, abs=1e-4)
+
+
+@pytest.fixture(scope="module")
+def recorded(mini: Path) -> RecordedScene:
+    return next(iter(Dataset(mini).split("test-all", truth=True)))
+
+
+@pytest.fixture(scope="module")
+def scene(mini: Path, recorded: RecordedScene, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("mjcf")
+    export(mini, "mjcf", out, [recorded.id])
+    return out / recorded.id / "scene.xml"
+
+
+def floats(text: str) -> np.ndarray:
+    return np.array([float(word) for word in text.split()])
+
+
+def pose_of(element: ElementTree.Element) -> Pose:
+    return Pose(floats(element.attrib["quat"]), floats(element.attrib["pos"]))
+
+
+def test_bodies_stand_where_they_do(scene: Path, recorded: RecordedScene) -> None:
+    bodies = ElementTree.parse(scene).getroot().findall("worldbody/body")
+    assert [body.attrib["name"] for body in bodies] == [
+        "assembly",
+        *(f"p{i}" for i in range(len(recorded.scene.bodies) - 1)),
+    ]
+    for body, true in zip(bodies, recorded.scene.bodies, strict=True):
+        np.testing.assert_array_equal(pose_of(body).matrix(), true.world_from_body.matrix())
+    assert [body.find("freejoint") is not None for body in bodies] == [False] + [True] * (len(bodies) - 1)
+
+
+def test_masses_and_friction_are_ours(scene: Path, recorded: RecordedScene) -> None:
+    root, geometry = ElementTree.parse(scene).getroot(), recorded.split.dataset.geometry
+    masses = [float(each.attrib["mass"]) for each in root.findall("worldbody/body/inertial")]
+    assert masses[1:] == [geometry.part(body.id).mass for body in recorded.scene.bodies[1:]]
+    friction = {each.attrib["friction"] for each in root.iter("geom") if "friction" in each.attrib}
+    assert {floats(text)[0] for text in friction} == {FRICTION**2}
+
+
+def test_every_goal_is_a_site(scene: Path, recorded: RecordedScene) -> None:
+    assembly = recorded.split.dataset.geometry.assembly(recorded.scene.bodies[0].id)
+    sites = [pose_of(site).matrix() for site in ElementTree.parse(scene).getroot().findall("worldbody/body/site")]
+    goals = [mount.assembly_from_kit @ goal for mount in assembly.mounts for goal in mount.kit.slot.goals]
+    np.testing.assert_allclose(sites, [goal.matrix() for goal in goals], atol=1e-12)
+
+
+def test_mujoco_sees_the_scene_and_leaves_it_at_rest(scene: Path) -> None:
+    mujoco = pytest.importorskip("mujoco")
+    model = mujoco.MjModel.from_xml_path(str(scene))
+    data = mujoco.MjData(model)
+    before = data.qpos.copy()
+    mujoco.mj_step(model, data, nstep=300)
+    assert np.abs(data.qpos - before).max() < 1e-3
+
+
+def test_an_unknown_scene_and_an_existing_folder_are_refused(mini: Path, scene: Path) -> None:
+    with pytest.raises(InputError, match="test-s9999"):
+        export(mini, "mjcf", scene.parents[1], ["test-s9999"])
+    with pytest.raises(InputError, match="exists already"):
+        export(mini, "mjcf", scene.parents[1], [scene.parent.name])
