@@ -12,21 +12,13 @@ from kit1000.capture.known_sensors import known_unit
 from kit1000.errors import InputError
 
 NEAREST, FARTHEST = 0.15, 4.0  # [m] median depths of tables that a camera sees well
+LIKELY = (0.12, 3.0)  # [m] median depths for which a unit is proposed
 UNITS = (1e-3, 1e-4, 2e-4, 2.5e-4, 1e-2, 1.0, 1e-5)
 """[m] that 1 in an image may stand for, the usual ones first."""
 SATURATED = 65535  # of 16 bits: many drivers write it for a pixel without a return
 MOST_PIXELS = 30_000_000
 LEAST_SIDE = 64  # [px] of an image
 LEAST_RETURNS = 0.02  # share of the pixels
-
-
-class UnlikelyDepth(InputError):
-    """The depths of an image are not those of a table in view."""
-
-    def __init__(self, message: str, median: float) -> None:
-        super().__init__(message)
-        self.median = median
-        """[m] of the depths."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,11 +74,6 @@ def stated_unit(frame: DepthFrame, known: Intrinsics, scale: float | None, devic
     return scale or known.unit or frame.unit or (known_unit(device or known.device) if frame.integers else 1.0)
 
 
-def assumed_unit(frame: DepthFrame) -> float:
-    """[m] that 1 in a frame stands for, if nothing states it."""
-    return 1e-3 if frame.integers else 1.0
-
-
 def metric_depth(frame: DepthFrame, unit: float) -> np.ndarray:
     """(H, W) float32 [m] the depths of a frame, 0 without a return.
 
@@ -95,8 +82,7 @@ def metric_depth(frame: DepthFrame, unit: float) -> np.ndarray:
         unit: [m] that 1 stands for.
 
     Raises:
-        InputError: hardly any pixel has a return.
-        UnlikelyDepth: the median depth is not that of a table.
+        InputError: hardly any pixel has a return, or the median depth is not that of a table; then a unit is proposed.
     """
     values = frame.values
     known = np.isfinite(values) & (values > 0)
@@ -109,8 +95,11 @@ def metric_depth(frame: DepthFrame, unit: float) -> np.ndarray:
     depth = np.where(known, values, 0).astype(np.float64) * unit
     middle = float(np.median(depth[known]))
     if not NEAREST <= middle <= FARTHEST:
-        expected = f"expected {NEAREST:g} to {FARTHEST:g}"
-        raise UnlikelyDepth(f"{frame.source}: median depth {middle:.4g} m, {expected}", middle)
+        low, high = LIKELY
+        other = next((each for each in UNITS if low <= middle / unit * each <= high), None)
+        advice = "" if other is None else f"; is the unit {other:g} m? Give --depth-scale {other:g}"
+        found = f"median depth {middle:.4g} m, expected {NEAREST:g} to {FARTHEST:g}"
+        raise InputError(f"{frame.source}: {found}{advice}")
     return np.where(depth < 10 * FARTHEST, depth, 0).astype(np.float32)
 
 

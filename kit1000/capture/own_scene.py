@@ -8,15 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kit1000.capture.depth_frames import (
-    UNITS,
-    DepthFrame,
-    UnlikelyDepth,
-    assumed_unit,
-    mean_depth,
-    metric_depth,
-    stated_unit,
-)
+from kit1000.capture.depth_frames import DepthFrame, mean_depth, metric_depth, stated_unit
 from kit1000.capture.intrinsics import Intrinsics
 from kit1000.capture.known_sensors import is_scanner, known_baseline
 from kit1000.capture.mask_networks import cut_back
@@ -99,7 +91,7 @@ def own_scene(
         advice = "record CameraInfo too, or give --intrinsics FILE, or fx fy cx cy"
         raise InputError(f"{source}: no intrinsics beside it: {advice}")
     stated = stated_unit(first, known, options.depth_scale, options.device)
-    unit = stated or assumed_unit(first)
+    unit = stated or (1e-3 if first.integers else 1.0)
     image, table = _image_and_table(frames, known, unit)
     bodies = seen_bodies(table)
     chosen = _with_kit_first(bodies.sure, options, source, table)
@@ -123,24 +115,18 @@ def own_scene(
 def _image_and_table(frames: Sequence[DepthFrame], known: Intrinsics, unit: float) -> tuple[PinholeImage, Table]:
     """The median of frames, undistorted, and its table.
 
-    Raises InputError if the frames have several sizes, or no table is found; it names a unit in which there may be one.
+    Raises InputError if the frames have several sizes, or no table is found.
     """
     first = frames[0]
     for frame in frames[1:]:
         if frame.values.shape != first.values.shape:
             sizes = f"{frame.values.shape[::-1]} px, the first frame has {first.values.shape[::-1]}"
             raise InputError(f"{frame.source}: {sizes}")
-    try:
-        depth = mean_depth([metric_depth(frame, unit) for frame in frames])
-        image = pinhole_image(depth, known, first.source)
-        table = find_table(image, first.source)
-        _check_no_ray_lengths(depth, known, table, first.source)
-        return image, table
-    except UnlikelyDepth as error:
-        middle = error.median / unit
-        other = next((each for each in UNITS if NEAR_TABLE <= middle * each <= 2 * FAR_TABLE), None)
-        advice = "" if other is None else f"; is the unit {other:g} m? Give --depth-scale {other:g}"
-        raise InputError(f"{error}{advice}") from None
+    depth = mean_depth([metric_depth(frame, unit) for frame in frames])
+    image = pinhole_image(depth, known, first.source)
+    table = find_table(image, first.source)
+    _check_no_ray_lengths(depth, known, table, first.source)
+    return image, table
 
 
 def _check_no_ray_lengths(depth: np.ndarray, known: Intrinsics, table: Table, source: str) -> None:

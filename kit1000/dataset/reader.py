@@ -65,7 +65,7 @@ class Dataset:
         self.root = Path(root).absolute()  # it stays the same in a worker, and after a change of the working folder
         self.geometry = Geometry(self.root)
         self._files = lru_cache(MAX_OPEN_FILES)(self._open)
-        self._labelled_depths = lru_cache(CACHED_IMAGES)(self._read_labelled_depth)
+        self.labelled_depth = lru_cache(CACHED_IMAGES)(self._labelled_depth)
 
     def __reduce__(self) -> tuple[type[Dataset], tuple[Path]]:
         return Dataset, (self.root,)
@@ -132,10 +132,6 @@ class Dataset:
         """The ground truth of a shard."""
         return self._files(TruthFile, f"{shard}.truth.mcap")
 
-    def labelled_depth(self, shard: str, scene_id: str, sensor: str) -> LabelledDepth:
-        """A depth image of the primary camera with its masks; the last few are cached."""
-        return self._labelled_depths(shard, scene_id, sensor)
-
     def _why_no_truth(self) -> str:
         """Why a file with truth may be missing, for a message."""
         if "withheld" in self.summary:
@@ -143,7 +139,8 @@ class Dataset:
         own = not any(self.root.glob("*/*.truth.mcap"))
         return f": {WITHOUT_TRUTH}" if own else ""
 
-    def _read_labelled_depth(self, shard: str, scene_id: str, sensor: str) -> LabelledDepth:
+    def _labelled_depth(self, shard: str, scene_id: str, sensor: str) -> LabelledDepth:
+        """A depth image of the primary camera with its masks."""
         file = self.observation_file(shard)
         labels = file.labels(scene_id)
         if labels is None:

@@ -7,7 +7,7 @@ error about two pivots would give the goal away.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from kit1000.errors import InputError
@@ -36,17 +36,32 @@ class Track:
     """Splits that have its queries."""
 
 
+def _noisy(track: Track, sensor: Sensor, device: str, splits: tuple[str, ...] = SPLITS) -> Track:
+    """A track with the depth images of a sensor, the simulated one of a device."""
+    description = f"As {track.name}, from a depth image with the noise of a {device}."
+    return replace(track, name=f"{track.name}-{sensor}", sensor=sensor, description=description, splits=splits)
+
+
+SNAP = Track(
+    "snap",
+    sensor="ideal",
+    guess="ball",
+    parts="all",
+    crowded_scenes=True,
+    description="With an initial guess: up to 28 mm off along each axis and up to 27.5° about any axis.",
+)
+PLACE = Track(
+    "place",
+    sensor="ideal",
+    guess=None,
+    parts="upright",
+    crowded_scenes=True,
+    description="Without a guess: parts lie upright at any yaw, slots are tilted by up to 45°.",
+)
 TRACKS = {
     track.name: track
     for track in (
-        Track(
-            "snap",
-            sensor="ideal",
-            guess="ball",
-            parts="all",
-            crowded_scenes=True,
-            description="With an initial guess: up to 28 mm off along each axis and up to 27.5° about any axis.",
-        ),
+        SNAP,
         Track(
             "snap-tilt",
             sensor="ideal",
@@ -55,14 +70,7 @@ TRACKS = {
             crowded_scenes=False,
             description="As snap, but the guess is rotated by a tilt alone, as in the release of the paper.",
         ),
-        Track(
-            "place",
-            sensor="ideal",
-            guess=None,
-            parts="upright",
-            crowded_scenes=True,
-            description="Without a guess: parts lie upright at any yaw, slots are tilted by up to 45°.",
-        ),
+        PLACE,
         Track(
             "place-paper",
             sensor="ideal",
@@ -71,40 +79,8 @@ TRACKS = {
             crowded_scenes=False,
             description="Without a guess, as in the paper: only goals with roll and pitch within ± 15°.",
         ),
-        Track(
-            "snap-d415",
-            sensor="d415",
-            guess="ball",
-            parts="all",
-            crowded_scenes=True,
-            description="As snap, from a depth image with the noise of a RealSense D415.",
-        ),
-        Track(
-            "place-d415",
-            sensor="d415",
-            guess=None,
-            parts="upright",
-            crowded_scenes=True,
-            description="As place, from a depth image with the noise of a RealSense D415.",
-        ),
-        Track(
-            "snap-photoneo",
-            sensor="photoneo",
-            guess="ball",
-            parts="all",
-            crowded_scenes=True,
-            description="As snap, from a depth image with the noise of a Photoneo PhoXi scanner.",
-            splits=("val", "test"),
-        ),
-        Track(
-            "place-photoneo",
-            sensor="photoneo",
-            guess=None,
-            parts="upright",
-            crowded_scenes=True,
-            description="As place, from a depth image with the noise of a Photoneo PhoXi scanner.",
-            splits=("val", "test"),
-        ),
+        *(_noisy(track, "d415", "RealSense D415") for track in (SNAP, PLACE)),
+        *(_noisy(track, "photoneo", "Photoneo PhoXi scanner", ("val", "test")) for track in (SNAP, PLACE)),
     )
 }
 CURVES = "curves"

@@ -6,9 +6,7 @@ optical axis. The image does not depend on the number of threads.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -17,7 +15,7 @@ import numpy as np
 from kit1000.camera import Camera
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh
-from kit1000.parallel import usable_cores
+from kit1000.parallel import thread_map
 from kit1000.pose import Pose
 from kit1000.sim import raster
 from kit1000.sim.raster import Intrinsics, TriangleBatch
@@ -83,7 +81,7 @@ def render(
         band = slice(top, top + BAND_ROWS)
         raster.resolve_band(inverse_depth, nearest_face, body_of, first_of, depth[band], ids[band], faces[band])
 
-    with _workers(threads) as spread:
+    with thread_map(threads) as spread:
         projected = list(spread(project, zip(bodies, first_of[:-1].tolist(), strict=True)))
         chunks = [(body, start) for body in projected for start in range(0, len(body.faces), CHUNK_FACES)]
         batches = [batch for group in spread(prepare, chunks) for batch in group]
@@ -91,17 +89,6 @@ def render(
     for array in (depth, ids, faces):
         array.setflags(write=False)
     return RenderedImage(depth, ids, faces)
-
-
-@contextmanager
-def _workers(threads: int | None) -> Iterator[Callable[[Callable, Iterable], Iterable]]:
-    """A `map` over a pool of threads, for the loops release the interpreter lock; over none for a single thread."""
-    count = usable_cores() if threads is None else threads
-    if count <= 1:
-        yield map
-        return
-    with ThreadPoolExecutor(count) as pool:
-        yield pool.map
 
 
 def _project_body(intrinsics: Intrinsics, mesh: Mesh, camera_from_body: Pose, first: int) -> _ProjectedBody:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kit1000.errors import InputError, ShapeError, checked
-from kit1000.parallel import usable_cores
+from kit1000.parallel import thread_map, usable_cores
 from kit1000.pose import Pose
 
 MAX_VOXELS = 1 << 31  # 8 GiB of float32: with more, the voxel size is probably in the wrong unit
@@ -168,11 +167,5 @@ def for_each_slab(work: Callable[[int, int], None], shape: tuple[int, int, int],
         raise InputError(f"threads: expected a whole number from 1 up, or None for all cores, got {threads!r}")
     step = max(SLAB_VOXELS // (shape[1] * shape[2]), 1)
     ranges = [(start, min(start + step, shape[0])) for start in range(0, shape[0], step)]
-    count = min(threads or usable_cores(), len(ranges))
-    if count == 1:
-        for start, stop in ranges:
-            work(start, stop)
-        return
-    with ThreadPoolExecutor(count) as pool:
-        for _ in pool.map(lambda slab: work(*slab), ranges):
-            pass  # reading the results raises the exceptions of the threads
+    with thread_map(min(threads or usable_cores(), len(ranges))) as spread:
+        list(spread(lambda slab: work(*slab), ranges))  # raises what a thread raised

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from kit1000.capture.depth_files import read_depth_files
-from kit1000.capture.depth_frames import DepthFrame, UnlikelyDepth, mean_depth, metric_depth
+from kit1000.capture.depth_frames import DepthFrame, mean_depth, metric_depth
 from kit1000.errors import InputError
 
 STEPS = np.random.default_rng(0).integers(400, 1200, (96, 128)).astype(np.uint16)
@@ -115,7 +115,7 @@ def test_pixels_without_a_return_are_zero_whatever_they_hold() -> None:
 
 
 def test_a_median_depth_of_no_table_is_refused() -> None:
-    with pytest.raises(UnlikelyDepth, match=r"median depth 8 m, expected 0\.15 to 4"):
+    with pytest.raises(InputError, match=r"median depth 8 m, expected 0\.15 to 4"):
         metric_depth(DepthFrame(np.full((96, 128), 8.0), "depth.npy"), 1.0)
 
 
