@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from kit1000.errors import InputError
-from kit1000.files import read_json
+from kit1000.files import converted, read_json
 from kit1000.pose import Pose
 
 WRAPPERS = ("world_from_camera", "base_from_camera", "transformation", "transform", "pose")
@@ -69,18 +69,15 @@ def read_value(path: Path, expected: str) -> Any:
 def stated_pose(value: Any, place: str) -> Pose:
     """The pose of a JSON value; raises InputError, which begins with its place, if it is none."""
     try:
-        pose = _pose(value)
-        if pose.xyz.shape != (3,):
-            raise InputError("several poses")
+        return _pose(value)
     except (KeyError, TypeError, ValueError, InputError) as error:
         why = f"no {error}" if isinstance(error, KeyError) else error
         raise InputError(f"{place}: no pose ({why}); expected {EXPECTED}") from None
-    return pose
 
 
 def _pose(value: Any) -> Pose:
     if not isinstance(value, Mapping):
-        return Pose.from_matrix(np.array(_numbers(value), float))
+        return Pose.from_matrix(np.array(converted(value, list[list[float]], "matrix")))
     for name in WRAPPERS:
         if isinstance(value.get(name), Mapping | list):
             return _pose(value[name])
@@ -97,17 +94,8 @@ def _pose(value: Any) -> Pose:
 
 
 def _of(wxyz: Any, xyz: Any) -> Pose:
-    quaternion = np.array(_numbers(wxyz), float)
+    quaternion = np.array(converted(wxyz, list[float], "rotation"))
     norm = float(np.sqrt(np.square(quaternion).sum()))
     if not abs(norm - 1) <= 1e-3:
         raise InputError(f"a quaternion of length {norm:.4g}, expected 1")
-    return Pose(quaternion, np.array(_numbers(xyz), float))
-
-
-def _numbers(value: Any) -> Any:
-    """Nested lists of numbers as they are; raises TypeError for texts, truth values and anything else."""
-    if isinstance(value, list):
-        return [_numbers(each) for each in value]
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise TypeError(f"{value!r} is no number")
-    return value
+    return Pose(quaternion, np.array(converted(xyz, list[float], "position")))
