@@ -16,7 +16,7 @@ import pytest
 from kit1000.errors import InputError, InternalError, Kit1000Error
 from kit1000.parallel import JOBS_PER_WORKER, local_engine, ray_engine, usable_cores
 from tests.samples.checkout import ROOT
-from tests.samples.jobs import all_end, fail_at_three, kill_own_process, signalled, square
+from tests.samples.jobs import all_end, fail_at_three, kill_own_process, nap, signalled, square
 
 HELD: list[np.ndarray] = []  # by the workers of a test
 WORKERS = pytest.mark.parametrize("workers", [1, 2])
@@ -49,8 +49,8 @@ def test_an_error_stops_the_run_and_an_unforeseen_one_names_its_job(workers: int
 def test_few_jobs_are_submitted_ahead_and_a_run_may_end_early() -> None:
     submitted: list[int] = []
     with local_engine(2) as parallel_map:
-        next(iter(parallel_map(square, recording_iterator(submitted, 1000))))
-    assert len(submitted) <= 3 * JOBS_PER_WORKER
+        next(iter(parallel_map(nap, recording_iterator(submitted, 1000))))
+    assert len(submitted) < 10 * JOBS_PER_WORKER  # each job that ends meanwhile makes room for one more
 
 
 def thread_limits(_: int) -> list[str | None]:

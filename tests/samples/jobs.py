@@ -45,6 +45,11 @@ def sleep(_: int) -> None:
     time.sleep(60)
 
 
+def nap(x: int) -> int:
+    time.sleep(0.2)
+    return x
+
+
 def signalled(script: str, folder: Path, number: signal.Signals) -> list[int]:
     """The ids of processes that a script prints, which gets a signal after that line, and has ended on return."""
     path = folder / "script.py"
