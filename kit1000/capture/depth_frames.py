@@ -19,6 +19,7 @@ SATURATED = 65535  # of 16 bits: many drivers write it for a pixel without a ret
 MOST_PIXELS = 30_000_000
 LEAST_SIDE = 64  # [px] of an image
 LEAST_RETURNS = 0.02  # share of the pixels
+SMOOTHER = 8.0  # ratio of the steps between neighbours from which the bytes of 16-bit values are surely swapped
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +83,8 @@ def metric_depth(frame: DepthFrame, unit: float) -> np.ndarray:
         unit: [m] that 1 stands for.
 
     Raises:
-        InputError: hardly any pixel has a return, or the median depth is not that of a table; then a unit is proposed.
+        InputError: hardly any pixel has a return, the bytes of its values are swapped, or the median depth is not that
+            of a table; then a unit is proposed.
     """
     values = frame.values
     known = np.isfinite(values) & (values > 0)
@@ -92,6 +94,8 @@ def metric_depth(frame: DepthFrame, unit: float) -> np.ndarray:
     if share < LEAST_RETURNS:
         found, expected = f"{100 * share:.1f} % of the pixels have a depth", f"{100 * LEAST_RETURNS:.0f} or more"
         raise InputError(f"{frame.source}: {found}, expected {expected}: empty, or not a depth image")
+    if values.dtype == np.uint16 and _roughness(values) > SMOOTHER * _roughness(values.byteswap()):
+        raise InputError(f"{frame.source}: both bytes of each value are swapped: save the image in its own byte order")
     depth = np.where(known, values, 0).astype(np.float64) * unit
     middle = float(np.median(depth[known]))
     if not NEAREST <= middle <= FARTHEST:
@@ -101,6 +105,12 @@ def metric_depth(frame: DepthFrame, unit: float) -> np.ndarray:
         found = f"median depth {middle:.4g} m, expected {NEAREST:g} to {FARTHEST:g}"
         raise InputError(f"{frame.source}: {found}{advice}")
     return np.where(depth < 10 * FARTHEST, depth, 0).astype(np.float32)
+
+
+def _roughness(values: np.ndarray) -> float:
+    """Sum of the differences between neighbours in a row that both have a return."""
+    left, right = values[:, :-1].astype(np.float64), values[:, 1:]
+    return float(np.abs(left - right)[(left > 0) & (right > 0)].sum())
 
 
 def mean_depth(depths: Sequence[np.ndarray]) -> np.ndarray:

@@ -11,7 +11,7 @@ The record of a trial is written last, so a sitting continues where it was inter
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
@@ -161,6 +161,13 @@ class ParticipantFiles:
         """The folder of a task, to which the page writes too. task: from 1; 0 to practise."""
         return self.of_session(session) / f"task-{task}"
 
+    def folders(self) -> Iterator[Path]:
+        """All folders that the plan has for this participant."""
+        yield self.folder
+        for session in self.plan.sessions(self.number):
+            yield self.of_session(session)
+            yield from (self.of_task(session, task) for task in range(len(session.tasks) + 1))
+
     def record(self, kind: type[AnyRecord], **values: Any) -> AnyRecord:
         """A record of this participant."""
         return kind(study=self.plan.id, participant=self.number, **values)
@@ -181,6 +188,10 @@ class ParticipantFiles:
 def read_participants(study: Path, plan: StudyPlan) -> list[Participant]:
     """All participants by number; raises InputError at the first record that does not belong."""
     everybody = [ParticipantFiles(study, plan, number) for number in range(1, plan.people + 1)]
+    planned = {folder for files in everybody for folder in files.folders()}
+    for path in sorted((study / PEOPLE).rglob("*")):
+        if path.is_dir() and path not in planned:
+            raise InputError(f"{path}: the plan has no such participant, condition or task; move the folder away")
     return [_read_participant(files) for files in everybody if any(files.folder.rglob("*.json"))]
 
 

@@ -114,6 +114,14 @@ def test_pixels_without_a_return_are_zero_whatever_they_hold() -> None:
     assert (depth[0, 5:] > 0).all()
 
 
+def test_swapped_bytes_are_named_whatever_the_unit() -> None:
+    depths = np.tile(np.arange(600, 728, dtype=np.uint16), (96, 1))
+    for unit in (1e-3, 1e-4, 1e-5):
+        with pytest.raises(InputError, match="bytes of each value are swapped"):
+            metric_depth(DepthFrame(depths.byteswap(), "depth.png"), unit)
+    assert metric_depth(DepthFrame(depths, "depth.png"), 1e-3)[0, 0] == np.float32(0.6)
+
+
 def test_a_median_depth_of_no_table_is_refused() -> None:
     with pytest.raises(InputError, match=r"median depth 8 m, expected 0\.15 to 4"):
         metric_depth(DepthFrame(np.full((96, 128), 8.0), "depth.npy"), 1.0)

@@ -197,6 +197,11 @@ def cut(name: str) -> Callable[[Path], None]:
     return cut_file
 
 
+def beside(name: str) -> Callable[[Path], None]:
+    """Adds a folder that the plan does not have."""
+    return lambda folder: (folder / "people" / name).mkdir()
+
+
 DAMAGES: list[tuple[Callable[[Path], None], tuple[str, ...]]] = [
     (cut("trial.json"), ("trial.json",)),
     (cut("participant.json"), ("participant.json",)),
@@ -219,6 +224,7 @@ DAMAGES: list[tuple[Callable[[Path], None], tuple[str, ...]]] = [
     ),
     (edited("ratings.json", ratings={"mental": 5}), ("ratings.json", "physical")),
     (edited("closing.json", preferred="hand-bare"), ("closing.json", "preferred", "hand-bare")),
+    *((beside(name), (name,)) for name in ("p005", "p001-copy", "p001/1-scene", "p001/1-hand/task-5")),
 ]
 
 
