@@ -75,7 +75,7 @@ def _table(words: Sequence[str], results: Path, entries: Sequence[Entry]) -> str
             raise InputError(f"{name}.json has no table {table!r}; it has {', '.join(measurement.tables)}")
         return f"{measurement.tables[table].markdown()}\n\n{caption(measurement)}"
     if table == "table1":
-        return as_markdown(table_of(entries), tracks=False).rstrip("\n")
+        return as_markdown(table_of(entries)).rstrip("\n")
     scored = score_table(table, entries, others)
     return f"{scored.markdown()}\n\n{setting_of(entries)}" if scored.rows else "No such method is scored yet."
 

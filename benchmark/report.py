@@ -1,4 +1,4 @@
-"""Scores as text: tables for a terminal, as Markdown and as HTML, and the JSON of scores.json."""
+"""Scores as text: tables for a terminal and as Markdown, and the JSON of scores.json."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
 from typing import Any
 
 from benchmark import quantities
@@ -49,26 +48,6 @@ class Grid:
         rule = ["---" if left else "---:" for left in self.is_text]
         lines = (self.header, rule, *(map(_markdown_cell, row) for row in self.rows))
         return "\n".join(f"| {' | '.join(line)} |" for line in lines)
-
-    def html(self, label: str, classes: Sequence[str]) -> str:
-        """The table as HTML in a region that scrolls.
-
-        Args:
-            label: of the region.
-            classes: of the rows; empty for a row without.
-        """
-        kinds = ["" if left else ' class="num"' for left in self.is_text]
-        head = "".join(
-            f'<th scope="col"{kind}>{escape(text)}</th>' for kind, text in zip(kinds, self.header, strict=True)
-        )
-        lines = [f'<div class="scroll" role="region" tabindex="0" aria-label="{escape(label)}">', "<table>"]
-        lines += [f"<thead><tr>{head}</tr></thead>", "<tbody>"]
-        for row, name in zip(self.rows, classes, strict=True):
-            pairs = list(zip(kinds, row, strict=True))
-            cells = "".join(f"<td{kind}>{escape(text)}</td>" for kind, text in pairs[1:])
-            opened = f'<tr class="{name}">' if name else "<tr>"
-            lines.append(f'{opened}<th scope="row">{escape(row[0])}</th>{cells}</tr>')
-        return "\n".join([*lines, "</tbody>", "</table>", "</div>"])
 
 
 def _markdown_cell(text: str) -> str:

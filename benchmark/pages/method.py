@@ -12,14 +12,12 @@ from benchmark.curve_charts import panel
 from benchmark.curves import CURVES
 from benchmark.entries import Entry
 from benchmark.pages.board import NO_VALUE, Cell, mean_cell, scale_end
-from benchmark.protocol import ABLATION
 from benchmark.quantities import Quantity
 from benchmark.summary import TITLES, group_order
-from kit1000.pictures.charts import Axis, Dot, Line, dot_plot, histogram, line_chart, rounded_up
+from kit1000.pictures.charts import Axis, Line, histogram, line_chart, rounded_up
 from kit1000.queries.tracks import TRACKS
 
 BINNED = ("tilt", "visible")  # properties whose groups are bins
-NAMES = 170  # [px] of a chart: room for a track and whose masks
 CASE_TITLES = {"worst": "Largest errors", "middle": "Errors nearest to the median"}
 
 
@@ -27,25 +25,6 @@ def tracks_of(entry: Entry) -> list[str]:
     """The tracks that a method was scored on, in the order of the board."""
     scored = entry.scores["tracks"]
     return [*(track for track in TRACKS if track in scored), *sorted(set(scored) - set(TRACKS))]
-
-
-def overview_charts(entry: Entry) -> list[Markup]:
-    """The main error and the seated rate in all tracks: means with their intervals."""
-    charts = []
-    error = quantities.ROTATION if entry.manifest.predicts == "rotation" else quantities.MSSD
-    rows = {_axis_name(entry, track): entry.scores["tracks"][track] for track in tracks_of(entry)}
-    for quantity in (error, quantities.SEATED):
-        dots = [_dot(quantity, track, row) for track, row in rows.items() if row.get(quantity.key) is not None]
-        if dots:
-            axis = Axis(f"{quantity.name} [{quantity.unit.symbol}]", scale_end(quantity, list(rows.values())))
-            description = "Mean and 95 % interval in each track; given: by the masks of the dataset, an ablation."
-            charts.append(Markup(dot_plot(f"{quantity.name} by track", description, dots, axis, NAMES)))
-    return charts
-
-
-def _axis_name(entry: Entry, track: str) -> str:
-    """A track in a chart; masks that are an ablation are named."""
-    return f"{track}, given" if entry.masks(track) == ABLATION else track
 
 
 def curve_charts(entry: Entry) -> list[Markup]:
@@ -57,12 +36,6 @@ def curve_charts(entry: Entry) -> list[Markup]:
 def track_charts(scored: Mapping[str, Any]) -> list[Markup]:
     """Histograms of the errors in a track, and errors by confidence."""
     return [*_histograms(scored), *_risk_coverage(scored)]
-
-
-def _dot(quantity: Quantity, name: str, row: Mapping[str, Any]) -> Dot:
-    value, interval = quantity.estimate(row)
-    low, high = interval or (None, None)
-    return Dot(name, value, low, high, "" if value is None else quantity.text(value))
 
 
 def _histograms(scored: Mapping[str, Any]) -> list[Markup]:

@@ -8,14 +8,13 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 
-from benchmark import quantities
+from benchmark import quantities, table1
 from benchmark.curve_charts import compared
 from benchmark.curves import CURVES
 from benchmark.entries import Entry
 from benchmark.pages import board as boards
 from benchmark.pages import method as methods
 from benchmark.pages.board import Board, mean_cell, median_cell, percent, read_board
-from benchmark.table1 import as_html, table_of
 from kit1000.dataset.scene_data import LICENCE
 from kit1000.files import check_output, write_bytes
 from kit1000.pictures import charts
@@ -41,7 +40,8 @@ def build(submissions: Path, out: Path, rescored: bool = False) -> None:
     for entry in board.real:
         values = _method(entry) | {"setting": entry.setting}
         _write(out / "methods" / f"{entry.name}.html", pages, "method.html", values)
-    _write(out / "table1.html", pages, "table1.html", {"table1": Markup(as_html(table_of(board.entries)))})
+    table = {"table": table1.table_of(board.entries), "description": table1.DESCRIPTION, "notes": table1.NOTES}
+    _write(out / "table1.html", pages, "table1.html", table)
     _write(out / "index.html", pages, "index.html", _index(board))
 
 
@@ -84,7 +84,6 @@ def _method(entry: Entry) -> dict[str, Any]:
         "explained": [quantity for quantity in quantities.QUANTITIES if "board" not in quantity.outputs],
         "in_breakdown": quantities.shown_in("breakdown"),
         "in_cases": quantities.shown_in("cases"),
-        "overview": methods.overview_charts(entry),
         "curves": methods.curve_charts(entry),
         "tracks": {track: entry.scores["tracks"][track] for track in methods.tracks_of(entry)},
     }

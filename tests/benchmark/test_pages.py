@@ -8,6 +8,7 @@ import re
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
+from html import unescape
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from benchmark.pages import build
 from benchmark.pages.board import TrackTable, percent, read_board, runtime_class, track_tables
 from benchmark.protocol import ABLATION, FOUND, NO_MASKS
 from benchmark.quantities import POSITION
+from benchmark.table1 import PAPER_ROWS
 from benchmark.table1 import read_table as table1
 from kit1000.errors import InputError
 from kit1000.queries.tracks import TRACKS
@@ -150,6 +152,16 @@ def test_the_same_scores_give_the_same_bytes(site: Path, tmp_path: Path) -> None
     assert file_hashes(tmp_path) == file_hashes(site)
     build(site.parent / "submissions", tmp_path)  # over itself
     assert file_hashes(tmp_path) == file_hashes(site)
+
+
+def test_table1_has_the_rows_of_the_paper_and_the_methods_on_its_tracks(site: Path) -> None:
+    rows = re.findall(r'<tr( class="control")?><th scope="row">(.*?)</th>', page(site, "table1"))
+    controls = {unescape(label) for control, label in rows if control}
+    assert [unescape(label) for _, label in rows][len(PAPER_ROWS) :] == [
+        *("Learned", "Rotations only", SNAPS.method),
+        GUESS.method,
+    ]
+    assert controls == {GUESS.method}
 
 
 def test_a_single_control_makes_a_board(tmp_path: Path) -> None:
