@@ -23,6 +23,9 @@ BF16_SINCE = (8, 0)  # compute capability of GPUs that calculate in bfloat16
 class Descent:
     """A network with all state that training changes."""
 
+    STATE = ("model", "average", "optimizer", "loss_sum")
+    """Keys of its state in a checkpoint."""
+
     def __init__(self, task: Task, config: TrainConfig, device: torch.device) -> None:
         """Move the network to the device."""
         self.config, self.device = config, device

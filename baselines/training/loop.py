@@ -1,12 +1,13 @@
 """One training loop for every network: validation on fixed examples, checkpoints.
 
-A run writes into a folder: config.json, log.jsonl with a row for each validation, best.safetensors and best.json,
-curve.svg, and checkpoint.pt, from which the same call resumes after a stop or a kill with the same results.
+A run writes into a folder: config.json, log.jsonl with a row for each validation, best.safetensors and best.json, and
+checkpoint.pt, from which the same call resumes after a stop or a kill with the same results.
 """
 
 from __future__ import annotations
 
 import ctypes
+import io
 import json
 import math
 import os
@@ -25,9 +26,7 @@ import torch
 from tqdm import tqdm
 
 from baselines.training.batches import Batch, Task, train_batches, validation_batches
-from baselines.training.checkpoint import read_state, write_state
 from baselines.training.config import FREE, TrainConfig
-from baselines.training.curve import curve
 from baselines.training.descent import Descent
 from kit1000.errors import InputError
 from kit1000.files import clear_partial, locked, read_json, write_bytes, write_json
@@ -37,7 +36,7 @@ from kit1000.perception.networks.weight_files import save_weights
 
 __all__ = ["Batch", "Task", "TrainConfig", "TrainingResult", "train"]
 
-CONFIG, LOG, BEST, CURVE, CHECKPOINT = "config.json", "log.jsonl", "best", "curve.svg", "checkpoint.pt"
+CONFIG, LOG, BEST, CHECKPOINT = "config.json", "log.jsonl", "best", "checkpoint.pt"
 
 TRIM_THRESHOLD, MMAP_MAX = -1, -4  # names of glibc's mallopt
 STOPPING = "training: stopping after this step, with a checkpoint; once more stops at once"
@@ -196,7 +195,7 @@ def _report(run: _Run, bar: tqdm, measured: str) -> None:
 
 
 def _validate(run: _Run) -> str:
-    """Measure, save the weights if they are the best so far, log and draw; returns the first measure as text."""
+    """Measure, save the weights if they are the best so far, and log; returns the first measure as text."""
     progress = run.progress
     loss = _mean_loss(run)
     with run.descent.evaluation():
@@ -241,23 +240,32 @@ def _mean_loss(run: _Run) -> float:
 
 
 def _log(folder: Path, row: Mapping[str, Any]) -> int:
-    """Append a row to the log and redraw the curve; returns the length of the log [bytes]."""
-    path = folder / LOG
-    with open(path, "ab") as log:
+    """Append a row to the log; returns the length of the log [bytes]."""
+    with open(folder / LOG, "ab") as log:
         log.write((json.dumps(row) + "\n").encode())
         log.flush()
         os.fsync(log.fileno())  # a checkpoint relies on it
-        end = log.tell()
-    rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-    write_bytes(folder / CURVE, curve(rows).encode())
-    return end
+        return log.tell()
 
 
 def _write_checkpoint(run: _Run) -> None:
-    """Write a checkpoint."""
+    """Write a checkpoint, whole or not at all."""
     _mean_loss(run)  # weights after a loss that is not finite are useless
-    state = {"settings": run.settings, "progress": asdict(run.progress), **run.descent.state()}
-    write_state(run.folder / CHECKPOINT, state)
+    data = io.BytesIO()
+    torch.save({"settings": run.settings, "progress": asdict(run.progress), **run.descent.state()}, data)
+    write_bytes(run.folder / CHECKPOINT, data.getvalue())
+
+
+def read_checkpoint(path: Path) -> dict[str, Any]:
+    """Read a checkpoint, with all tensors on the CPU; this executes nothing.
+
+    Raises InputError if the file is damaged.
+    """
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+        return {key: state[key] for key in ("settings", "progress", *Descent.STATE)}
+    except Exception:  # PyTorch raises errors of many kinds for damaged files
+        raise InputError(f"{path}: damaged, or no checkpoint of a training run: delete it to begin anew") from None
 
 
 def _opened(task: Task, config: TrainConfig, folder: Path, settings: dict[str, Any], device: torch.device) -> _Run:
@@ -268,7 +276,7 @@ def _opened(task: Task, config: TrainConfig, folder: Path, settings: dict[str, A
         _check_unused(folder)
     run = _Run(task, config, folder, settings, Descent(task, config, device), _Progress())
     if (folder / CHECKPOINT).exists():
-        state = read_state(folder / CHECKPOINT)
+        state = read_checkpoint(folder / CHECKPOINT)
         _check_same(folder, state["settings"], settings)
         run.descent.restore(state, folder / CHECKPOINT)
         run.progress = _Progress(**state["progress"])
@@ -290,7 +298,7 @@ def _check_same(folder: Path, old: Mapping[str, Any], new: Mapping[str, Any]) ->
 
 def _check_unused(folder: Path) -> None:
     """Raise InputError if a new run would replace files of another origin."""
-    for name in (LOG, f"{BEST}.json", f"{BEST}.safetensors", CURVE, CHECKPOINT):
+    for name in (LOG, f"{BEST}.json", f"{BEST}.safetensors", CHECKPOINT):
         if (folder / name).exists():
             raise InputError(f"{folder}: holds {name}, but no {CONFIG} of a run; it stays: choose another folder")
 

@@ -35,7 +35,6 @@ NETWORKS = {
             "small": replace(KITS, steps=4000),
             "pretraining": replace(KITS, steps=3000, learning_rate=5e-3),
             "pretraining-2": replace(KITS, steps=2500),
-            "measured": replace(KITS, steps=3000, seed=3),
         },
         weights={"restoration": "restoration"},
     ),
@@ -45,7 +44,6 @@ NETWORKS = {
             "small": replace(CLIPPED, steps=5000, learning_rate=3e-3, seed=1),
             "pretraining": CLIPPED,
             "measured": MEASURED,
-            "large": replace(MEASURED, learning_rate=5e-3),
         },
     ),
     "restoration-unmasked": Network(

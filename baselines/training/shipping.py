@@ -15,7 +15,7 @@ from kit1000.perception.networks.weight_files import LARGEST, load_weights, save
 
 
 def ship(run: Path, weights_folder: Callable[[str], Path], commit: str, precision: Precision = "float32") -> Path:
-    """Copy the best weights of a run, with the rows of its log, from which the learning curve can be drawn.
+    """Copy the best weights of a run, with the rows of its log.
 
     Args:
         run: folder that `train` wrote.
@@ -50,14 +50,3 @@ def _check_same_data(target: Path, info: Mapping[str, Any]) -> None:
             f"{target.name}: the published weights were trained on dataset {published}, these on {own}: manifests "
             "would name the wrong data; predict --weights RUN uses them as your own"
         )
-
-
-def whole_log(info: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """The rows of shipped weights' log, after those of the weights that they started from; steps and seconds go on."""
-    start = info["about"].get("start")
-    if start is None:
-        return list(info["log"])
-    earlier = whole_log(start)
-    last = earlier[-1]
-    own = [{**row, **{key: row[key] + last[key] for key in ("step", "seconds")}} for row in info["log"]]
-    return earlier + own

@@ -163,9 +163,7 @@ def _applied(session: Session, row: Mapping[str, Any]) -> Session:
         return session.did(row["name"], {int(part): _edit_of(edit) for part, edit in row["edits"].items()})
     if event == "undo":
         return session.undo()
-    if event == "redo":
-        return session.redo()
-    return session.returned(row["count"]) if event == "return" else session
+    return session.redo() if event == "redo" else session
 
 
 def _edit_row(edit: PartEdit) -> dict[str, Any]:

@@ -130,15 +130,6 @@ class Session:
         *rest, last = self.undone
         return Session(self._with(last, after=True), (*self.done, last), tuple(rest))
 
-    def returned(self, count: int) -> Session:
-        """Undone or redone until `count` operations are done."""
-        session = self
-        while len(session.done) > max(count, 0):
-            session = session.undo()
-        while len(session.done) < count and session.undone:
-            session = session.redo()
-        return session
-
     def _with(self, operation: Operation, after: bool) -> dict[int, PartEdit]:
         side = {part: change.after if after else change.before for part, change in operation.changes.items()}
         return {**self.edits, **side}

@@ -21,8 +21,6 @@ DOT_ROW = 26  # [px] height of a line of a dot plot
 NAMES, NOTES = 122, 62  # [px] beside a dot plot
 MARK = (84, 16)  # [px] of an interval in a cell of a table
 TICKS = 5
-LOG_RATIO = 10.0  # largest value over the smallest one, above which `axis_around` is logarithmic
-MOST_POWERS = 6  # ticks of a logarithmic axis
 MOST_POINTS = 40  # of a line that marks each of its points
 GAP = 12  # [px] below a row of a file of its own
 DASHES = ("", "6 4", "1.5 4")  # of the lines of a chart in turn: the paper's figure dots the largest error
@@ -78,40 +76,20 @@ class Dot:
 
 @dataclass(frozen=True)
 class Axis:
-    """An axis with its label, from `start` to `end`; those of a logarithmic axis are powers of ten."""
+    """An axis with its label, from 0 to `end`."""
 
     label: str
     end: float
-    start: float = 0.0
-    logarithmic: bool = False
 
     @property
     def ticks(self) -> list[float]:
-        """Round numbers from `start` to no more than `end`."""
-        if self.logarithmic:
-            first, last = round(log10(self.start)), round(log10(self.end))
-            return [10.0**power for power in range(first, last + 1, ceil((last - first + 1) / MOST_POWERS))]
-        step = tick_step(self.end - self.start)
-        return [step * i for i in range(ceil(self.start / step - 1e-9), floor(self.end / step + 1e-9) + 1)]
+        """Round numbers from 0 to no more than `end`."""
+        step = tick_step(self.end)
+        return [step * i for i in range(floor(self.end / step + 1e-9) + 1)]
 
     def fraction(self, value: float) -> float:
         """The position of a number: 0 at the start of the axis, 1 at its end, clipped."""
-        if self.logarithmic:
-            share = log10(max(value, self.start) / self.start) / log10(self.end / self.start)
-        else:
-            share = (value - self.start) / (self.end - self.start)
-        return min(max(share, 0.0), 1.0)
-
-
-def axis_around(label: str, values: Sequence[float]) -> Axis:
-    """An axis that holds 0 and all values; a logarithmic one without 0 if they are positive and span over LOG_RATIO."""
-    low, high = min(values, default=0.0), max(values, default=1.0)
-    if low > 0 and high / low > LOG_RATIO:
-        return Axis(label, 10.0 ** ceil(log10(high)), 10.0 ** floor(log10(low)), logarithmic=True)
-    low, high = min(low, 0.0), max(high, 0.0)
-    step = tick_step(high - low)
-    first, last = floor(low / step + 1e-9), ceil(high / step - 1e-9)
-    return Axis(label, step * max(last, first + 1), step * first)
+        return min(max(value / self.end, 0.0), 1.0)
 
 
 def tick_step(end: float) -> float:

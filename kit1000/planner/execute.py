@@ -157,7 +157,7 @@ class Bench:
             "offset_mm": round(found.offset * 1e3, 3),
             "angle_deg": round(float(np.degrees(found.angle)), 3),
         }
-        return InsertionTrial(release, rest, trial.blocked, trial.at_rest), physics
+        return InsertionTrial(release, rest, trial.blocked), physics
 
     def _around(self, part: int, target: Pose, out: np.ndarray) -> list[Obstacle]:
         """The bodies near the way in of a part to a pose in the assembly's frame, along `out` (3,)."""

@@ -80,8 +80,6 @@ class InsertionTrial:
     """world_from_part at the end."""
     blocked: bool
     """Whether the hand stopped before the end of its path."""
-    at_rest: bool
-    """Whether the part came to rest in time."""
 
 
 @dataclass(frozen=True)
@@ -126,10 +124,10 @@ def insert(part: Workpiece, obstacles: Sequence[Obstacle], world_from_part: Pose
         body = world.add_pieces(part.pieces, part.mass, part.moments, hover, **friction)
         blocked = _lower_part(world, body, part, target, out)
         release = world.pose(body)
-        at_rest = _settle(world, body)
+        _settle(world, body)
         rest = world.pose(body)
     body_from_part = part.part_from_body.inverse()
-    return InsertionTrial(release @ body_from_part, rest @ body_from_part, blocked, at_rest)
+    return InsertionTrial(release @ body_from_part, rest @ body_from_part, blocked)
 
 
 def _lower_part(world: World, body: int, part: Workpiece, target: Pose, out: np.ndarray) -> bool:
@@ -163,16 +161,15 @@ def clamp_norm(vector: np.ndarray, limit: float) -> np.ndarray:
     return vector * min(1.0, limit / max(length(vector), 1e-300))
 
 
-def _settle(world: World, body: int) -> bool:
-    """Step until the part is at rest or time is up; whether it is at rest."""
+def _settle(world: World, body: int) -> None:
+    """Step until the part is at rest or time is up."""
     slow_checks = 0
     for _ in range(int(MAX_REST_TIME * STEP_RATE / CHECK_INTERVAL)):
         world.step(CHECK_INTERVAL)
         slow = all(speed < limit for speed, limit in zip(world.speeds(body), REST_SPEEDS, strict=True))
         slow_checks = slow_checks + 1 if slow else 0
         if slow_checks == REST_CHECKS:
-            return True
-    return False
+            return
 
 
 def classify_outcome(kit: Kit, kit_from_release: Pose, kit_from_rest: Pose) -> InsertionOutcome:

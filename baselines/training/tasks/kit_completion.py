@@ -64,10 +64,9 @@ VIEWS = {
     "small": (2034,),
     "pretraining": (2032, 12_000, 0.75, 3000, 0.0),
     "pretraining-2": (2033, 10_000, 0.25, 600, 0.0),
-    "measured": (2052,),
 }
 """Fields of `KitViews` from `seed` on, by preset, each run from the weights of the one before: `pretraining` sees more
-kinds of kits than those of datasets, `pretraining-2` mostly theirs, the others fresh and stretched ones of both."""
+kinds of kits than those of datasets, `pretraining-2` mostly theirs, `small` fresh and stretched ones of both."""
 BESIDE = 0.2  # weight of a cell beside the plate
 Batch = dict[str, Tensor]
 

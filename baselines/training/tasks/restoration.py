@@ -43,8 +43,8 @@ Example = dict[str, np.ndarray]
 Sensing = Callable[[View, np.random.Generator], View]
 """What a sensor sees of an ideal view."""
 VALIDATION_SCENES = 30  # spread evenly over the validation split
-VIEWS = {"pretraining": (1500, 2029), "small": (3000, 2035), "measured": (30_000, 2048), "large": (30_000, 2048)}
-"""Number and seed of the views by preset, each from the weights of the one before, but `large` from none."""
+VIEWS = {"pretraining": (1500, 2029), "small": (3000, 2035), "measured": (30_000, 2048)}
+"""Number and seed of the views by preset, each from the weights of the one before."""
 UNMASKED_VIEWS = {"small": (1500, 2029), "measured": (30_000, 2049)}
 """The same without masks."""
 REACH = 7  # [px] from a jump of the truth, where a pixel counts as beside an edge
@@ -272,6 +272,5 @@ def mean_where(values: Tensor, where: Tensor) -> Tensor:
 def restoration_task(dataset: Dataset, preset: str, labelled: bool = True) -> RestorationTask:
     """The task with new weights. labelled: whether its network reads masks."""
     count, seed = (VIEWS if labelled else UNMASKED_VIEWS)[preset]
-    sizes = {"widths": (48, 72, 108, 144), "blocks": 2} if preset == "large" else {}
     views = SceneViews(dataset=dataset, count=count, seed=seed, labelled=labelled)
-    return RestorationTask(views, dataset, "val", RestorationNet(RestorationConfig(labelled=labelled, **sizes)))
+    return RestorationTask(views, dataset, "val", RestorationNet(RestorationConfig(labelled=labelled)))

@@ -19,8 +19,7 @@ from torch import nn
 
 from baselines.training import loop
 from baselines.training.batches import TrainingSet, train_batches
-from baselines.training.checkpoint import read_state
-from baselines.training.loop import Batch, TrainConfig, train
+from baselines.training.loop import Batch, TrainConfig, read_checkpoint, train
 from kit1000.errors import InputError
 from kit1000.files import locked
 from kit1000.perception.networks.weight_files import copied_state, load_into, load_weights
@@ -30,7 +29,7 @@ CPU = torch.device("cpu")
 CONFIG = TrainConfig(
     steps=12, batch=4, learning_rate=0.05, warmup=2, validate_every=3, checkpoint_every=4, workers=0, threads=1, seed=5
 )
-FILES = ["best.json", "best.safetensors", "checkpoint.pt", "config.json", "curve.svg", "log.jsonl"]
+FILES = ["best.json", "best.safetensors", "checkpoint.pt", "config.json", "log.jsonl"]
 
 
 class Killed(Exception):
@@ -99,7 +98,7 @@ def rows(folder: Path) -> list[dict[str, Any]]:
 
 def results(folder: Path) -> tuple[dict[str, bytes], list[dict[str, Any]]]:
     """All tensors of the checkpoint and of the best weights, to the bit, and the log."""
-    state = read_state(folder / "checkpoint.pt")
+    state = read_checkpoint(folder / "checkpoint.pt")
     optimizer = {f"{i}.{k}": value for i, kinds in state["optimizer"]["state"].items() for k, value in kinds.items()}
     groups = {**{part: state[part] for part in ("model", "average")}, "optimizer": optimizer}
     groups["best"] = load_weights(folder / "best")[0]
@@ -171,7 +170,7 @@ def test_a_run_resumes_after_any_kills_to_the_bit(
 def test_a_kill_while_files_are_written_changes_nothing(
     tmp_path: Path, plain: Path, monkeypatch: pytest.MonkeyPatch, dies_in: str
 ) -> None:
-    name = {"validation": "validate", "log": "curve", "best": "save_weights", "checkpoint": "write_state"}[dies_in]
+    name = {"validation": "validate", "log": "_log", "best": "save_weights", "checkpoint": "write_bytes"}[dies_in]
     calls, real = [0], getattr(loop, name)
 
     def deadly(*args: Any, **kwargs: Any) -> Any:
@@ -217,7 +216,7 @@ def test_a_finished_run_is_not_changed(plain: Path) -> None:
     assert (result.stopped_by, result.step) == ("steps", 12)
     assert result.best_step == load_weights(plain / "best")[1]["step"]
     assert {path.name: path.read_bytes() for path in plain.iterdir()} == before
-    groups = read_state(plain / "checkpoint.pt")
+    groups = read_checkpoint(plain / "checkpoint.pt")
     assert all(groups["model"][name].equal(value) for name, value in copied_state(task.model).items())
 
 
@@ -310,7 +309,7 @@ def test_a_loss_or_measure_that_is_not_finite_ends_the_run(tmp_path: Path) -> No
 
 def test_with_an_ema_the_best_weights_are_the_average(tmp_path: Path) -> None:
     train(Product(), replace(CONFIG, ema_decay=0.9, validate_every=12), tmp_path, device=CPU)
-    groups = read_state(tmp_path / "checkpoint.pt")
+    groups = read_checkpoint(tmp_path / "checkpoint.pt")
     best, _ = load_weights(tmp_path / "best")
     assert all(best[name].equal(value) for name, value in groups["average"].items())
     assert not any(best[name].equal(value) for name, value in groups["model"].items())
@@ -320,7 +319,7 @@ def test_the_ema_follows_its_recurrence(tmp_path: Path) -> None:
     config, average = replace(CONFIG, ema_decay=0.2, time_limit_s=0.0), copied_state(Product().model)
     for keep in (1 / 10, 2 / 11, 0.2, 0.2):  # a step each
         train(Product(), config, tmp_path, device=CPU)
-        groups = read_state(tmp_path / "checkpoint.pt")
+        groups = read_checkpoint(tmp_path / "checkpoint.pt")
         average = {name: keep * value + (1 - keep) * groups["model"][name] for name, value in average.items()}
         for name, value in groups["average"].items():
             torch.testing.assert_close(value, average[name])
@@ -330,7 +329,7 @@ WATCHED = replace(CONFIG, validate_every=6, checkpoint_every=250)
 
 
 def step_kept(folder: Path) -> int:
-    return read_state(folder / "checkpoint.pt")["progress"]["step"]
+    return read_checkpoint(folder / "checkpoint.pt")["progress"]["step"]
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -368,7 +367,7 @@ def test_a_log_file_gets_a_line_for_each_validation(tmp_path: Path, capsys: pyte
     assert all(", error " in line for line in lines)
 
 
-@pytest.mark.parametrize("name", ["log.jsonl", "best.json", "curve.svg", "checkpoint.pt"])
+@pytest.mark.parametrize("name", ["log.jsonl", "best.json", "checkpoint.pt"])
 def test_files_of_another_origin_are_never_replaced(name: str, tmp_path: Path) -> None:
     (tmp_path / name).write_text("mine")
     with pytest.raises(
