@@ -17,7 +17,7 @@ def main(part: tyro.conf.Positional[Path], out: Path = Path("my-kit"), clearance
     """Make the kit of a mesh file.
 
     Args:
-        part: STL, OBJ, PLY, OFF, 3MF or GLB.
+        part: STL, OBJ, PLY, 3MF or GLB.
         out: the folder to write.
         clearance_mm: horizontal gap between the part and the walls of its cavity.
     """

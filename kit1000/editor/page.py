@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import viser
@@ -22,6 +22,13 @@ from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.sim.layout import TABLE_SIZE
 
+if TYPE_CHECKING:
+    from kit1000.editor.controller import Controller
+    from kit1000.editor.label_page import LabelPage
+
+    Actor = Controller | LabelPage
+    """Who takes the events of a page."""
+
 PLACES = ("head", "parts", "fit", "note")
 SKY, SUN = 1.2, 1.9  # lights, by which cavities stand out without shadows
 SUN_AT = (-0.6, -0.5, 1.0)
@@ -30,50 +37,6 @@ POINT_SIZE = 1.6e-3  # [m]: neighbours just touch
 BELOW = 5e-4  # [m] z = 0, of the table's top: what stands on it is not cut
 GIZMO = "/gizmo"
 WATCHES = "Another tab of this page is in charge. When that is closed, this one is."
-
-
-class Actor(Protocol):
-    """Who takes the events of a page: a `controller.Controller` or a `label_page.LabelPage`."""
-
-    @property
-    def bodies(self) -> tuple[int, ...]:
-        """What can be moved."""
-        ...
-
-    @property
-    def drags(self) -> bool:
-        """Whether bodies can be dragged and not only be moved by the gizmo."""
-        ...
-
-    def framed(self, eye: Eye) -> None:
-        """The shape of the window is known, or has changed."""
-        ...
-
-    def select(self, body: int | None) -> None:
-        """A body was clicked."""
-        ...
-
-    def grab(
-        self, body: int, eye: Eye, screen: tuple[float, float], point: np.ndarray, modifier: Modifier = None
-    ) -> None:
-        """A drag of a body begins at a point (3,) [m] of it; screen: 0 to 1 from the left, and from the top."""
-        ...
-
-    def drag(self, screen: tuple[float, float]) -> None:
-        """The pointer moves."""
-        ...
-
-    def release(self) -> None:
-        """The pointer lets go."""
-        ...
-
-    def carry(self, gizmo: Pose, done: bool) -> None:
-        """The gizmo moves, world_from_gizmo; done: it was let go."""
-        ...
-
-    def command(self, verb: str, eye: Eye | None = None) -> None:
-        """A key or a button."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -10,11 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kit1000.camera import Camera, look_at
-from kit1000.editor.dragging import levelled, rotated, slid
+from kit1000.editor.dragging import levelled, slid
 from kit1000.editor.pointing import Eye, Pointing
 from kit1000.editor.seen import seen_surface, with_skirt
 from kit1000.editor.seen_plates import TABLE, Plate, find_plates, plates_of
-from kit1000.editor.session import distance
 from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.parts.cad import polygon, prism
 from kit1000.perception.image_kinds import IDEAL
@@ -186,15 +185,6 @@ def test_a_slid_part_touches_the_surface_and_keeps_its_rotation_to_it(
     assert np.abs(off - (off @ new.normal) * new.normal).max() < 1e-12  # the pivot is over the point
     relative = Pose(quaternion_between(old.normal, new.normal), np.zeros(3)) @ motion
     assert float((relative.inverse() @ moved).angle()) < 1e-9
-
-
-@given(angles, angles)
-def test_turning_there_and_back_is_nothing(angle: float, yaw: float) -> None:
-    pivot, axis = np.array([0.1, 0.0, 0.02]), np.array([0.0, 0.6, 0.8])
-    motion = Pose.from_rotvec((0.0, 0.1, yaw), (0.1, 0.2, 0.3))
-    back = rotated(rotated(motion, pivot, axis, angle), pivot, axis, -angle)
-    assert distance(back, motion, pivot)[0] < 1e-12
-    assert distance(rotated(motion, pivot, axis, angle), motion, pivot)[0] < 1e-12
 
 
 def test_levelling_stands_a_tilted_part_on_its_nearest_side() -> None:

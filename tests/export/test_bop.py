@@ -18,22 +18,22 @@ from scipy.spatial.distance import pdist
 
 from kit1000.camera import Camera, look_at
 from kit1000.dataset.geometry import Geometry
+from kit1000.dataset.reader import Dataset
 from kit1000.dataset.scene_data import SceneTruth
 from kit1000.errors import InputError
-from kit1000.export import bop
+from kit1000.export import bop, export
 from kit1000.export.bop import (
     DELTA,
     diameter,
-    distances,
     gt_info,
     model_info,
     object_numbers,
     silhouette,
     stored_depth,
-    vertex_normals,
     visible_pixels,
     write_bop,
 )
+from kit1000.generation.build import generate
 from kit1000.kits.assembly import AssemblyPlan, SidePlate, build_assembly
 from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.pose import Pose
@@ -41,6 +41,7 @@ from kit1000.sim.render import render
 from kit1000.symmetry import Symmetry
 from kit1000.values import Assembly, Body, Part, Scene, View
 from tests.samples.kits import sample_kit, sample_part
+from tests.samples.mini import MINI, l_shape_sources
 from tests.samples.shapes import as_part, cylinder
 from tests.samples.strategies import poses
 
@@ -332,12 +333,6 @@ def test_an_object_out_of_sight_has_no_box() -> None:
         assert info["bbox_obj"] == info["bbox_visib"] == [-1, -1, -1, -1]
 
 
-def test_distance_is_along_the_ray() -> None:
-    depth = np.full((CAMERA.height, CAMERA.width), 2.0)
-    points = CAMERA.unproject(depth)
-    np.testing.assert_allclose(distances(CAMERA, depth), np.linalg.norm(points, axis=-1))
-
-
 @pytest.mark.parametrize(
     ("asked", "said"),
     [
@@ -418,6 +413,23 @@ def test_the_diameter_is_the_largest_vertex_distance_in_any_rotation(pose: Pose)
     assert diameter(mesh) == pytest.approx(pdist(mesh.vertices).max())
 
 
-def test_vertex_normals_of_a_box_point_along_its_diagonals() -> None:
-    box = mesh_from_solid(Manifold.cube((2, 3, 4), center=True))
-    np.testing.assert_allclose(vertex_normals(box), np.sign(box.vertices) / np.sqrt(3), atol=1e-12)
+@pytest.fixture(scope="module")
+def generated(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    folder = tmp_path_factory.mktemp("data")
+    generate(MINI, folder / "data", workers=1, sources=l_shape_sources(folder / "files"))
+    return Dataset(folder / "data")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sensor", ["ideal", "d415"])
+def test_bop_scenes_match_the_recorded_scenes(generated: Dataset, sensor: str, tmp_path: Path) -> None:
+    export(generated.root, "bop", tmp_path / "bop", sensor=sensor)
+    for split in ("train", "val", "test"):
+        for number, recorded in enumerate(generated.split(split, truth=True)):
+            image = BopImage.read(tmp_path / f"bop/{split}/{number:06d}", 0)
+            np.testing.assert_allclose(image.depth / 1e3, recorded.view(sensor).depth, atol=5.1e-5)
+            for i, row in enumerate(recorded.truth.parts):
+                assert distance_to_model(tmp_path / "bop", image, i) < {"ideal": 0.2, "d415": 4}[sensor]
+                if sensor == "ideal":
+                    assert image.info[i]["px_count_visib"] == pytest.approx(row["pixels"], rel=0.05)
+                    assert image.info[i]["visib_fract"] == pytest.approx(row["visible"], abs=0.05)

@@ -1,4 +1,4 @@
-"""URDF and MJCF: pieces, masses and poses are those of the scene, and simulators agree."""
+"""Exports as URDF, MJCF and STL: simulators, physics and other readers find the assemblies, parts and scenes."""
 
 from __future__ import annotations
 
@@ -8,22 +8,26 @@ from pathlib import Path
 import numpy as np
 import pybullet as bullet
 import pytest
+import trimesh
 from hypothesis import given
 from manifold3d import Manifold
 
+from kit1000.dataset.geometry import Geometry
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.errors import InputError
-from kit1000.export import export
+from kit1000.export import FORMATS, export, standing_mesh
 from kit1000.export.urdf import roll_pitch_yaw, write_urdf
 from kit1000.kits.assembly import AssemblyPlan, SidePlate, build_assembly
 from kit1000.kits.kit import make_kit
 from kit1000.mesh import Mesh, inertia, mesh_from_solid, solid_from_mesh
 from kit1000.parts.family import DENSITY
+from kit1000.parts.files.read import read_mesh
 from kit1000.pose import Pose, quaternion_angle
 from kit1000.sim.world import FRICTION
 from kit1000.symmetry import Symmetry
 from kit1000.values import Assembly
 from tests.samples.kits import sample_kit, sample_part
+from tests.samples.labelled_scenes import shapes_folder
 from tests.samples.shapes import as_part
 from tests.samples.strategies import poses
 
@@ -249,3 +253,65 @@ def test_an_unknown_scene_and_an_existing_folder_are_refused(mini: Path, scene: 
         export(mini, "mjcf", scene.parents[1], ["test-s9999"])
     with pytest.raises(InputError, match="exists already"):
         export(mini, "mjcf", scene.parents[1], [scene.parent.name])
+
+
+@pytest.fixture(scope="module")
+def shapes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset shapes of an assembly of two kits; it is exported to the shapes `stl` beside it."""
+    shapes = tmp_path_factory.mktemp("export") / "data"
+    shapes_folder(shapes)
+    assert export(shapes, "stl", shapes.parent / "stl") == shapes.parent / "stl"
+    return shapes
+
+
+@pytest.fixture(scope="module")
+def tables_of(shapes: Path) -> Geometry:
+    return Geometry(shapes)
+
+
+def meshes(tables_of: Geometry) -> dict[str, Mesh]:
+    """What is exported, by the name of the file without its ending."""
+    parts = {f"part-{i}": standing_mesh(tables_of.part(i), tables_of.kit(i)) for i in tables_of.parts}
+    return parts | {i: tables_of.assembly(i).mesh for i in tables_of.assemblies}
+
+
+def test_files_read_back_are_the_assemblies_and_parts_in_millimetres(tables_of: Geometry) -> None:
+    expected = meshes(tables_of)
+    paths = {path.stem: path for path in (tables_of.root.parent / "stl").iterdir()}
+    assert paths.keys() == expected.keys()
+    for name, mesh in expected.items():
+        seen = trimesh.load_scene(paths[name]).to_mesh()
+        assert seen.is_watertight
+        assert seen.volume == pytest.approx(mesh.volume * 1e9, rel=1e-6)
+        np.testing.assert_allclose(seen.bounds, mesh.bounds * 1e3, atol=1e-4)
+        assert seen.bounds[0, 2] == pytest.approx(0, abs=1e-4)  # it stands, z up
+        reading = read_mesh(paths[name], "mm")
+        assert (reading.unit, reading.unit_guessed) == ("mm", False)
+        np.testing.assert_allclose(reading.mesh.extents, mesh.extents, atol=1e-7)
+
+
+def test_parts_seat_in_the_assembly_read_back(tables_of: Geometry) -> None:
+    (assembly_id,) = tables_of.assemblies
+    assembly = tables_of.assembly(assembly_id)
+    seen = trimesh.load_scene(tables_of.root.parent / "stl" / f"{assembly_id}.stl").to_mesh()
+    solid = solid_from_mesh(Mesh(seen.vertices, seen.faces))
+    for mount in assembly.mounts:
+        up = mount.assembly_from_kit.rotate([0.0, 0.0, 1.0])
+        seated = mount.assembly_from_kit @ mount.kit.slot.kit_from_part
+        part = solid_from_mesh(tables_of.part(mount.kit.id).mesh.moved(seated).scaled(1e3))
+        assert part.translate(tuple(up)).min_gap(solid, 5) == pytest.approx(1, abs=0.01)  # a millimetre off its floor
+
+
+@pytest.mark.parametrize("format", ["urdf", "stl"])
+def test_the_given_ids_or_those_of_a_split_are_exported(format: str, shapes: Path, tmp_path: Path) -> None:
+    (assembly_id,) = Geometry(shapes).assemblies
+    name = assembly_id if format == "urdf" else f"{assembly_id}.stl"
+    for options in ({"ids": (assembly_id,)}, {"split": "test"}):
+        out = export(shapes, format, tmp_path / "_".join(options), **options)  # type: ignore[arg-type]
+        assert name in {path.name for path in out.iterdir()}
+
+
+def test_an_unknown_format_or_split_is_one_line(shapes: Path, tmp_path: Path) -> None:
+    for format, split, fact in (("step", None, ", ".join(FORMATS)), ("stl", "val", "val")):
+        with pytest.raises(InputError, match=fact):
+            export(shapes, format, tmp_path, split=split)

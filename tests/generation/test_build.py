@@ -7,13 +7,11 @@ from __future__ import annotations
 
 import json
 import os
-import random
 import resource
 import shutil
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -172,31 +170,6 @@ def test_a_run_killed_between_write_and_rename_ends_with_the_same_bytes(
     assert list(root.rglob(f".*{files.PARTIAL}"))
     generate(MINI, root, workers=1, sources=sources)
     assert file_hashes(root) == file_hashes(complete)
-
-
-@pytest.fixture(scope="module")
-def complete_real(sources: Sources, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A dataset of mesh files with real scenes."""
-    root = tmp_path_factory.mktemp("real")
-    generate(MINI, root, workers=1, sources=sources)
-    return root
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("workers", [1, 2])
-def test_a_group_killed_while_it_makes_scenes_ends_with_the_same_bytes(
-    workers: int, complete_real: Path, tmp_path: Path
-) -> None:
-    root, rng = tmp_path / "out", random.Random(workers)
-    for _ in range(4):
-        run = start_run(tmp_path, root, workers, 1000, scenes="real")
-        while len(list(root.glob(f"{parts_and_kits.BUILD_FOLDER}/assemblies/*.json"))) < 4 and run.poll() is None:
-            time.sleep(0.01)
-        time.sleep(rng.uniform(0, 3))
-        os.killpg(run.pid, signal.SIGKILL)
-        run.communicate()
-    assert start_run(tmp_path, root, workers, 1000, scenes="real").wait(timeout=120) == 0
-    assert file_hashes(root) == file_hashes(complete_real)
 
 
 def test_a_full_disk_is_one_line_and_the_next_run_continues(complete: Path, sources: Sources, tmp_path: Path) -> None:

@@ -201,13 +201,3 @@ def test_files_are_tried_in_the_drawn_order_until_there_are_enough_parts(tmp_pat
     used = [row["source"] for row in Geometry(tmp_path / "out").parts.values()]
     assert {*used, *refused} == {*order[: 4 + len(refused)]}
     assert generate(MINI, tmp_path / "again", workers=1, sources=Sources.of(files[::-1])) == summary
-
-
-def test_one_good_file_among_many_is_found(tmp_path: Path) -> None:
-    preset = replace(MINI, train=1, val=0, test=0)
-    files = [tmp_path / f"a{i:02d}.stl" for i in range(30)]
-    for path in files:
-        path.touch()
-    write_stl(files[-1], l_shape(24))
-    summary = generate(preset, tmp_path / "out", workers=1, sources=Sources.of(files))
-    assert summary["counts"]["train"]["parts"] == 1

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -18,10 +17,9 @@ from kit1000.errors import Redraw
 from kit1000.files import read_json
 from kit1000.generation import scene_files as module
 from kit1000.generation.build import generate
-from kit1000.generation.parts_and_kits import BUILD_FOLDER
 from kit1000.generation.plan import scene_id_of
 from kit1000.generation.readme import readme_bytes
-from kit1000.generation.scene_files import EXTRA_VIEWS, OBSERVATIONS, TRUTH, make_shard, shard_jobs
+from kit1000.generation.scene_files import EXTRA_VIEWS, TRUTH, make_shard, shard_jobs
 from kit1000.generation.statistics import add_up, scene_statistics
 from kit1000.generation.verify import verify
 from tests.samples.mini import MINI, fake_scene, file_hashes, l_shape_sources
@@ -130,14 +128,3 @@ def test_a_finished_shard_is_not_made_again(tmp_path: Path, monkeypatch: pytest.
     assert again["refused"] == dict.fromkeys(
         map(scene_id_of, jobs[0].assemblies), "none of 60 layouts passes, mostly: parts touch"
     )
-
-
-def test_a_record_lists_its_files_by_hash(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fake_scenes: None) -> None:
-    monkeypatch.setattr("kit1000.generation.build.write_summary", lambda *_: {})
-    generate(MINI, tmp_path / "data", workers=1, sources=l_shape_sources(tmp_path / "files"))
-    found = file_hashes(tmp_path / "data")
-    record = read_json(tmp_path / "data" / BUILD_FOLDER / "shards/test/0000.json")
-    assert record["files"] == {
-        f"test/0000{ending}": found[f"test/0000{ending}"] for ending in (OBSERVATIONS, TRUTH, EXTRA_VIEWS)
-    }
-    assert Counter(record["redraws"]).keys() == {"parts touch"}

@@ -28,7 +28,6 @@ from kit1000.parts.family_catalog import FAMILIES
 from kit1000.pose import Pose, quaternion_angle
 from kit1000.rng import stream
 from kit1000.sim.cameras import CAMERA, in_view
-from kit1000.sim.layout import UPRIGHT
 from kit1000.sim.render import render
 from kit1000.sim.visibility import MAX_SLOT_ANGLE, MIN_CAVITY_SHARE, MIN_PART_PIXELS, MIN_PART_SHARE, slot_visibility
 from kit1000.testing import surface_distances
@@ -119,12 +118,6 @@ def test_a_scene_made_alone_is_the_one_in_the_shard(mini: Path) -> None:
     assert np.array_equal(truth.seg, made.truth.seg)
 
 
-def test_another_seed_is_another_scene(sample: SceneSample) -> None:
-    other = make_scene(MINI, SEED + 1, "test", sample.assembly, sample.parts, False)
-    assert not np.allclose(other.truth.world_from_assembly.xyz, sample.scene.truth.world_from_assembly.xyz)
-    assert other.extra_views is None
-
-
 def test_the_tracks_change_neither_the_scene_nor_the_images(sample: SceneSample) -> None:
     fewer = sample.again(tracks=("snap",), curve_scenes=0)
     assert equal(fewer, sample.scene, ("ideal",))
@@ -195,27 +188,6 @@ def test_pixels_of_a_cavity_lie_inside_it_and_on_its_kit(sample: SceneSample) ->
         assert (points[:, 2] > -mount.kit.slot.depth - NEAR).all()
         assert surface_distances(points, mount.kit.mesh).max() < NEAR
     assert (seg >= FIRST_CAVITY_LABEL).any()
-
-
-def test_pixels_inside_the_block_of_a_plate_belong_to_its_cavity(sample: SceneSample) -> None:
-    points, seg = (
-        sample.points(sample.labels == ASSEMBLY_LABEL, 10**9),
-        sample.scene.truth.seg[sample.labels == ASSEMBLY_LABEL],
-    )
-    for k, mount in enumerate(sample.assembly.mounts):
-        inside = (sample.scene.truth.world_from_assembly @ mount.assembly_from_kit).inverse().apply(points)
-        low, high = mount.kit.extent * (-0.5, -0.5, -1) + 1e-3, mount.kit.extent * (0.5, 0.5, 0) - 1e-3
-        assert (seg[((inside > low) & (inside < high)).all(1)] == FIRST_CAVITY_LABEL + k).all()
-
-
-def test_parts_are_in_the_order_of_the_truth(sample: SceneSample) -> None:
-    rows = sample.scene.truth.parts
-    assert sorted(row["mount"] for row in rows) == list(range(len(sample.parts)))
-    for row in rows:
-        mount = sample.assembly.mounts[row["mount"]]
-        assert mount.kit.slot.part_id == row["part_id"]
-        world_from_kit = sample.scene.truth.world_from_assembly @ mount.assembly_from_kit
-        np.testing.assert_allclose(pose_of(row["world_from_kit"]).matrix(), world_from_kit.matrix(), atol=1e-12)
 
 
 def test_the_index_of_a_part_does_not_depend_on_its_mount() -> None:
@@ -307,12 +279,6 @@ def test_the_target_is_drawn_once_in_every_track(sample: SceneSample) -> None:
     assert {row["part"] for row in rows if row["track"] == "curves"} == {target}
 
 
-def test_some_upright_part_has_a_query_without_a_guess(sample: SceneSample) -> None:
-    places = {row["part"] for row in sample.scene.observation.queries if row["track"] == "place"}
-    assert places
-    assert {sample.scene.truth.parts[i]["rest_mode"] for i in places} == {UPRIGHT}
-
-
 def test_the_tracks_of_the_paper_ask_only_where_parts_are_apart(sample: SceneSample) -> None:
     apart, crowded = sample.again(crowded=0.0), sample.again(crowded=1.0)
     asked = [{row["track"] for row in made.observation.queries} for made in (apart, crowded)]
@@ -356,11 +322,6 @@ def test_a_layout_without_a_valid_view_is_redrawn(sample: SceneSample, monkeypat
     again = sample.again(tracks=("snap",))
     assert again.redraws[:MAX_VIEWS] == ("part mostly hidden",) * MAX_VIEWS
     assert again.truth.world_from_assembly.xyz != pytest.approx(sample.scene.truth.world_from_assembly.xyz)
-
-
-def test_a_rejected_layout_is_redrawn(sample: SceneSample, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scenes, "simulate_layout", first(2, Redraw("parts touch"), scenes.simulate_layout))
-    assert sample.again(tracks=("snap",)).redraws[:2] == ("parts touch", "parts touch")
 
 
 def test_a_scene_without_a_valid_layout_is_refused_with_the_reason(

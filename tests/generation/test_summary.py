@@ -19,7 +19,7 @@ from kit1000.generation.croissant import croissant_bytes
 from kit1000.generation.dataset_summary import summary_bytes
 from kit1000.generation.plan import DATA_VERSION, dataset_id, make_plan
 from kit1000.generation.readme import readme_bytes
-from kit1000.generation.statistics import add_up, bin_name, part_statistics, scene_statistics, track_of
+from kit1000.generation.statistics import add_up, bin_name, part_statistics, scene_statistics
 from kit1000.queries.tracks import SPLITS
 from tests.samples.cards import PAIRS, tables, truth
 from tests.samples.mini import MINI, file_hashes
@@ -140,19 +140,6 @@ def test_every_number_has_exactly_one_bin(edges: tuple[int, ...], value: float) 
     low, _, high = name.partition("-")
     assert float(low.rstrip("+")) <= value
     assert value < float(high or "inf") or value == edges[-1] == 100
-
-
-@pytest.mark.parametrize(
-    ("query_id", "track"),
-    [
-        ("test-s0007-p2-snap", "snap"),
-        ("val-s0007-p12-snap-tilt", "snap-tilt"),
-        ("train-s0000-p0-place-paper", "place-paper"),
-        ("curves-s0007-p2-rot3-pos1", "curves"),
-    ],
-)
-def test_a_track_is_read_from_the_id(query_id: str, track: str) -> None:
-    assert track_of(query_id) == track
 
 
 def test_pairs_are_counted_by_family_symmetry_and_keyedness() -> None:

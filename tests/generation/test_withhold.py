@@ -34,7 +34,6 @@ from kit1000.generation.verify import verify
 from kit1000.generation.withhold import withheld_preset
 from kit1000.mesh import y_up
 from kit1000.pictures.dataset_sheets import scene_sheet
-from kit1000.pictures.scene_preview import scene_picture
 from kit1000.pose import Pose
 from kit1000.queries.motions import error_of
 from kit1000.queries.tracks import TRACKS
@@ -306,13 +305,6 @@ def test_an_interrupted_run_continues_as_the_same_dataset(
     assert verify(folders.public).faults == verify(folders.full).faults == ()
 
 
-def test_a_long_seed_may_be_given(quick_dataset: list[str], tmp_path: Path) -> None:
-    seed = 2**127 + STEP
-    folders = publish_by_command(tmp_path, *quick_dataset, "--seed", str(seed))
-    assert read_json(folders.full / "plan.json")["seed"] == seed
-    assert not found_in(folders.public, {str(seed).encode()})
-
-
 def test_a_drawn_seed_has_128_bits_of_which_all_but_the_first_are_random(tmp_path: Path) -> None:
     seeds = [withhold.secret_seed(tmp_path, None) for _ in range(64)]
     assert {seed.bit_length() for seed in seeds} == {128}
@@ -449,13 +441,6 @@ def test_a_recording_holds_nothing_but_its_observations(withheld: Published, tmp
             for scene_id in file.scene_ids:
                 writer.add(file.observation(scene_id))
         assert (tmp_path / path.name).read_bytes() == path.read_bytes()
-
-
-def test_a_preview_is_drawn_from_the_images_that_are_shown(withheld: Published) -> None:
-    file = Dataset(withheld.public).observation_file("test/0000")
-    for observation in map(file.observation, file.scene_ids):
-        assert observation.preview is not None
-        assert np.array_equal(scene_picture(replace(observation, preview=None)), observation.preview)
 
 
 def test_a_withheld_dataset_has_no_curves() -> None:

@@ -15,7 +15,6 @@ from PIL import Image
 from kit1000.camera import Camera
 from kit1000.dataset.geometry import Geometry
 from kit1000.dataset.mcap_io import ObservationFile
-from kit1000.dataset.png_files import png_bytes
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.dataset.scene_data import Observation, SceneTruth
 from kit1000.errors import InputError
@@ -37,7 +36,6 @@ from kit1000.values import FIRST_PART_LABEL, View
 from tests.samples.shapes import box, standing
 
 CAMERA = Camera(128, 72, 92.5, 92.5, 63.5, 35.5)
-LARGEST = 60_000  # [bytes]
 
 
 @pytest.fixture(scope="module")
@@ -109,18 +107,6 @@ def test_an_observation_file_has_no_preview_of_the_goals(recorded: list, mini: P
     for path in mini.glob("*/[0-9][0-9][0-9][0-9].mcap"):
         file = ObservationFile(path)
         assert previews.isdisjoint(np.asarray(file.preview(scene_id)).tobytes() for scene_id in file.scene_ids)
-
-
-def test_extra_views_have_no_preview(mini: Path) -> None:
-    file = ObservationFile(mini / "test/0000.three.mcap")
-    assert [file.preview(scene_id) for scene_id in file.scene_ids] == [None] * len(file.scene_ids)
-
-
-def test_a_preview_is_a_small_picture(recorded: list) -> None:
-    for observation, truth, _ in recorded:
-        for picture in (observation.preview, truth.preview):
-            assert len(png_bytes(picture)) <= LARGEST
-            assert picture.shape == (360, 640, 3)
 
 
 # What it shows
@@ -258,17 +244,6 @@ def grey_picture(_: object, camera: Camera, __: object) -> np.ndarray:
 def test_training_scenes_of_an_open_folder_have_ground_truth(public: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sheets, "shaded_picture", grey_picture)
     assert rows_of(pixels(scene_sheet(Dataset(public), "train-s0000"))) == 2
-
-
-def test_without_the_d415_its_picture_is_omitted(
-    mini: Path, whole_sheet: np.ndarray, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(sheets.RecordedScene, "sensors", ["ideal"])
-    monkeypatch.setattr(sheets, "shaded_picture", grey_picture)
-    image = pixels(scene_sheet(Dataset(mini), "test-s0000"))
-    for i in range(2):  # depth and masks
-        assert np.array_equal(tile(image, i), tile(whole_sheet, i))
-    assert [int(np.median(tile(image, i))) for i in range(2, 6)] == [90, 90, 90, 250]  # the truth, then paper
 
 
 def test_the_pictures_are_cropped_to_the_masks(mini: Path, whole_sheet: np.ndarray) -> None:

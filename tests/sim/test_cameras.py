@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import kstest
 
-from kit1000.camera import Camera
 from kit1000.errors import InputError
 from kit1000.pose import Pose
 from kit1000.sim import layout
@@ -78,12 +77,6 @@ def test_primary_cameras_look_at_one_point_between_the_halves_with_z_up(primary_
     assert (down[:, 2] < 0).all()
 
 
-def test_the_halves_are_side_by_side_in_a_primary_image(primary_poses: Pose):
-    for pose in primary_poses[:100]:
-        kits, parts = CAMERA.project(pose.inverse().apply([(0, 0.2, 0), (0, -0.17, 0)]))
-        assert abs(kits - parts)[0] > 2 * abs(kits - parts)[1]
-
-
 def test_nearly_every_primary_camera_has_a_full_layout_in_view(primary_poses: Pose):
     """The widest possible assembly at any yaw, and parts all over their half."""
     halves = np.concatenate([cylinder(0.165, 0.1, 0, 0.2), cylinder(0.15, 0.03, 0, -0.17)])
@@ -138,13 +131,6 @@ def test_points_are_in_view_if_each_projects_inside_the_margin(pose: Pose, seed:
         u, v = CAMERA.fx * x / z + CAMERA.cx, CAMERA.fy * y / z + CAMERA.cy
         visible.append(z > 0 and margin <= u + 0.5 <= 1280 - margin and margin <= v + 0.5 <= 720 - margin)
     assert in_view(CAMERA, pose, points, margin) == all(visible)
-
-
-def test_the_image_ends_half_a_pixel_outside_the_outer_pixel_centres():
-    camera = Camera(width=8, height=6, fx=1.0, fy=1.0, cx=0.0, cy=0.0)
-    assert in_view(camera, Pose.identity(), [(-0.5, -0.5, 1), (7.5, 5.5, 1)])
-    assert not in_view(camera, Pose.identity(), [(7.6, 0, 1)])
-    assert not in_view(camera, Pose.identity(), [(0, 0, -1)])
 
 
 @pytest.mark.parametrize("name", ["three", "top"])

@@ -16,7 +16,6 @@ from scipy.spatial.distance import pdist
 
 from kit1000.errors import Redraw
 from kit1000.kits.assembly import AssemblyPlan, SidePlate, build_assembly
-from kit1000.mesh import Mesh, defect, solid_from_mesh
 from kit1000.pose import Pose
 from kit1000.rng import stream
 from kit1000.sim import layout as module
@@ -36,7 +35,6 @@ from kit1000.sim.layout import (
     draw_rest_modes,
     simulate_layout,
     systematic_rest_modes,
-    table,
 )
 from kit1000.sim.settle import POSE_GRID, RestPose
 from kit1000.values import Assembly, Part, Slot
@@ -86,11 +84,6 @@ def test_two_parts_or_more_never_all_tumble(offset: float, n: int) -> None:
     assert len(modes) == n
     assert UPRIGHT in modes
     assert {*modes} <= {UPRIGHT, TUMBLED}
-
-
-def test_drawn_modes_are_those_of_a_uniform_offset() -> None:
-    modes = [draw_rest_modes(stream(0, k), 3)[1] for k in range(2000)]
-    assert np.mean([mode == UPRIGHT for mode in modes]) == pytest.approx(0.6, abs=0.04)
 
 
 @given(seed=st.integers(0, 2**32), n=st.integers(1, 5))
@@ -180,15 +173,6 @@ def test_a_crowded_draw_is_the_uncrowded_one_and_more() -> None:
     assert other.assembly_yaw == one.assembly_yaw
 
 
-def test_moving_the_kits_moves_no_part() -> None:
-    draw, layout = first_layout(0)
-    other = simulate_layout(
-        sample_assembly(), pairs(), replace(draw, assembly_yaw=1.0, assembly_shift=np.array([0.5, -0.5]))
-    )
-    assert [pose.xyz.tobytes() for pose in other.world_from_parts] == [p.xyz.tobytes() for p in layout.world_from_parts]
-    assert other.world_from_assembly.xyz.tobytes() != layout.world_from_assembly.xyz.tobytes()
-
-
 def test_rotating_one_part_moves_no_other() -> None:
     draw, layout = first_layout(0)
     i = draw.modes.index(UPRIGHT)
@@ -245,14 +229,6 @@ def test_parts_that_touch_are_redrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     close = replace(draw, drop_points=np.array([[0.0, -0.2], [0.1, -0.2], [0.02, -0.2]]))
     with pytest.raises(Redraw, match=r"^parts touch$"):
         simulate_layout(sample_assembly(), pairs(), close)
-
-
-def test_the_table_is_a_closed_box_below_zero() -> None:
-    mesh = table()
-    assert defect(mesh) is None
-    assert solid_from_mesh(mesh).volume() == pytest.approx(1.2 * 1.6 * 0.04)
-    assert mesh.bounds == pytest.approx(np.array([[-0.6, -0.8, -0.04], [0.6, 0.8, 0.0]]))
-    assert isinstance(mesh, Mesh)
 
 
 REGION = np.array([[-0.19, -0.345], [0.19, -0.005]])
@@ -326,29 +302,6 @@ def test_distances_of_squares_are_those_in_closed_form() -> None:
     assert footprint_distance(a, square(2, (4, 0), np.pi / 4)) == pytest.approx(3 - 2**0.5)  # corner to edge
     assert footprint_distance(a, square(2, (1.5, 1.5))) == 0
     assert footprint_distance(a, square(0.5, (0, 0))) == 0  # one within the other
-
-
-@given(seed=st.integers(0, 10_000))
-@settings(max_examples=20)
-def test_distances_agree_with_dense_points(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    outlines = []
-    for k in range(2):
-        points = rng.uniform(-1, 1, (8, 2)) + (rng.uniform(0, 4) * k, rng.uniform(-1, 1) * k)
-        outlines.append(points[ConvexHull(points).vertices])
-    a, b = outlines
-    share = np.linspace(0, 1, 100)[:, None, None]
-    dense = [(o + share * (np.roll(o, -1, axis=0) - o)).reshape(-1, 2) for o in (a, b)]
-    nearest = min(np.linalg.norm(dense[1] - point, axis=1).min() for point in dense[0])
-    overlap = (CrossSection([a], FillRule.NonZero) ^ CrossSection([b], FillRule.NonZero)).area()
-    expected = 0.0 if overlap > 1e-9 else nearest
-    assert footprint_distance(a, b) == pytest.approx(expected, abs=0.03)
-    assert footprint_distance(a, b) == pytest.approx(footprint_distance(b, a), abs=1e-12)
-
-
-@given(width=st.floats(0.1, 10), at=st.tuples(st.floats(-5, 5), st.floats(-5, 5)), yaw=st.floats(0, 6))
-def test_the_centre_of_a_square_is_its_middle(width: float, at: tuple[float, float], yaw: float) -> None:
-    assert centroid(square(width, at, yaw)) == pytest.approx(at, abs=1e-9)
 
 
 @given(seed=st.integers(0, 1000), share=st.floats(0.01, 0.99))

@@ -90,11 +90,6 @@ def test_a_part_half_behind_a_wall_is_half_visible():
     assert visibility.pixels == 20 * 40
 
 
-def test_a_part_too_far_away_for_a_pixel_has_no_share():
-    speck = (slab(1e-6, 1e-6, 1e-6), Pose.from_translation((1e-3, 0, 1)))
-    assert part_visibility(render(CAMERA, IDENTITY, [speck]), 0, CAMERA, IDENTITY, *speck) == PartVisibility(0, 0.0)
-
-
 @pytest.mark.parametrize("tilt", [0.0, 0.3, 1.0, 1.6, 3.1])
 def test_the_angle_of_a_slot_is_its_tilt_from_the_line_of_sight(tilt: float):
     view = look_at((0, 0, 0.8), (0, 0, 0), up=(0, 1, 0))

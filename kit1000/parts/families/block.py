@@ -14,15 +14,12 @@ from kit1000.parts.cad import Axis, CrossSection, Manifold, Symmetry
 class Opening:
     """A cut of one outline into a face of the block, through or blind."""
 
-    outline: str
-    """round, hex, square, triangle or long"""
+    outline: str  # round, hex, square, triangle or long
     size: float
     face: Axis
-    across: float
-    """place on the face, as a part of its half width: below 0, away from the milled corner"""
+    across: float  # place on the face, as a part of its half width: below 0, away from the milled corner
     up: float
-    depth: float
-    """as a part of the block, 0 for a through cut"""
+    depth: float  # as a part of the block, 0 for a through cut
 
     @classmethod
     def draw(cls, rng: np.random.Generator, smallest: float) -> Opening:
@@ -52,21 +49,15 @@ class Block:
     x: float
     y: float
     z: float
-    corner: tuple[float, float, float]
-    """what is milled out of the corner along x, y, z"""
-    edge: str
-    """plain, step, bevel or round"""
+    corner: tuple[float, float, float]  # what is milled out of the corner along x, y, z
+    edge: str  # plain, step, bevel or round
     edge_x: float
     edge_z: float
-    groove: float
-    """width of a groove across the top along x, 0 for none"""
-    groove_at: float
-    """its place, as a part of the half width y"""
+    groove: float  # width of a groove across the top along x, 0 for none
+    groove_at: float  # its place, as a part of the half width y
     groove_depth: float
-    notch: float
-    """side of a square notch down the whole edge at (-x, +y), 0 for none"""
-    left: bool
-    """mirrored, the milled corner at -y"""
+    notch: float  # side of a square notch down the whole edge at (-x, +y), 0 for none
+    left: bool  # mirrored, the milled corner at -y
     openings: tuple[Opening, ...]
 
     @classmethod

@@ -19,19 +19,15 @@ class Bracket:
     width: float
     foot_thickness: float
     wall: float
-    upright: str
-    """square, round, tapered or bearing"""
-    foot_holes: str
-    """pair, row, slots, four or none"""
+    upright: str  # square, round, tapered or bearing
+    foot_holes: str  # pair, row, slots, four or none
     hole: float
     top_width: float
     bore: float
-    ribs: int
-    """0, 1 in the middle (at the side when a bore needs the room), 2 at both sides"""
+    ribs: int  # 0, 1 in the middle (at the side when a bore needs the room), 2 at both sides
     rib_reach: float
     rib_wall: float
-    boss: float
-    """how far a ring stands out around the bore, 0 for none"""
+    boss: float  # how far a ring stands out around the bore, 0 for none
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> Bracket:

@@ -14,22 +14,17 @@ from kit1000.parts.cad import Manifold, Symmetry
 class Bushing:
     """A sleeve about z standing on z = 0; ears and set-screw bosses point to +x."""
 
-    kind: str
-    """turned, clamp, flats or boss"""
+    kind: str  # turned, clamp, flats or boss
     d: float
     bore: float
     length: float
-    flange: float
-    """diameter of the flange at the foot, 0 for none"""
+    flange: float  # diameter of the flange at the foot, 0 for none
     flange_thickness: float
-    relief: float
-    """wider diameter in the middle of the bore (turned), 0 for none"""
-    reach: float
-    """how far ears or boss stand out of the sleeve"""
+    relief: float  # wider diameter in the middle of the bore (turned), 0 for none
+    reach: float  # how far ears or boss stand out of the sleeve
     slit: float
     screw: float
-    slots: int
-    """slots across the upper end of a sleeve with two flats"""
+    slots: int  # slots across the upper end of a sleeve with two flats
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> Bushing:

@@ -15,24 +15,18 @@ class Clevis:
     """The fork opens to +z; the pin runs along y at x = `offset`. The bridge stands on z = 0."""
 
     gap: float
-    ear: float
-    """thickness of one ear"""
+    ear: float  # thickness of one ear
     ear_width: float
     pin: float
-    reach: float
-    """from the bridge's top to the pin"""
+    reach: float  # from the bridge's top to the pin
     bridge: float
-    offset: float
-    """how far the ears lean to +x, 0 when they stand upright"""
-    stem: str
-    """shank, socket, foot or side_foot"""
+    offset: float  # how far the ears lean to +x, 0 when they stand upright
+    stem: str  # shank, socket, foot or side_foot
     stem_size: float
     stem_length: float
     hole: float
-    tip: str
-    """round or square ends of the ears"""
-    unequal: float
-    """by how much the ear at +y is longer"""
+    tip: str  # round or square ends of the ears
+    unequal: float  # by how much the ear at +y is longer
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> Clevis:

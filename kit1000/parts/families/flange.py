@@ -18,25 +18,17 @@ class Flange:
     """The plate stands on z = 0, the bore runs along z, the first bolt is at +x (to the corners of a square)."""
 
     outline: str
-    size: float
-    """bolt circle diameter"""
+    size: float  # bolt circle diameter
     bolt: float
-    rim: float
-    """material around each bolt"""
+    rim: float  # material around each bolt
     thickness: float
     bore: float
-    hub: float
-    """outer diameter of the hub"""
-    hub_height: float
-    """0 for a plain plate"""
-    hub_kind: str
-    """straight or conical"""
-    counterbore: float
-    """depth of a wider seat in the bore from below, 0 for none"""
-    cut: float
-    """how far from the centre the cut side stands, as a part of the radius"""
-    key: float
-    """width of the keyway, 0 for none"""
+    hub: float  # outer diameter of the hub
+    hub_height: float  # 0 for a plain plate
+    hub_kind: str  # straight or conical
+    counterbore: float  # depth of a wider seat in the bore from below, 0 for none
+    cut: float  # how far from the centre the cut side stands, as a part of the radius
+    key: float  # width of the keyway, 0 for none
     chamfer: float
 
     @classmethod

@@ -14,29 +14,20 @@ from kit1000.parts.cad import CrossSection, Manifold, Symmetry
 class Frame:
     """A closed wall around an opening, standing on z = 0; the first ear reaches out at +y."""
 
-    outline: str
-    """box, rounded, house or dee"""
+    outline: str  # box, rounded, house or dee
     x: float
     y: float
     height: float
     wall: float
-    ears: int
-    """1: at +y, 2: another at -y further to -x, 0: a bezel without ears"""
-    ear: float
-    """diameter of an ear"""
-    ear_height: float
-    """at least half of the wall, so that it shows whichever side is up"""
+    ears: int  # 1: at +y, 2: another at -y further to -x, 0: a bezel without ears
+    ear: float  # diameter of an ear
+    ear_height: float  # at least half of the wall, so that it shows whichever side is up
     screw: float
-    bar: float
-    """width of the bar across, 0 for none"""
-    bar_at: float
-    """its place, as a part of the half length x"""
-    lip: float
-    """how far a lip at the foot reaches into the opening, 0 for none"""
-    gate: float
-    """width of the gate cut into the upper rim of the wall at +y, 0 for none"""
-    windows: int
-    """round openings in the wall at -y"""
+    bar: float  # width of the bar across, 0 for none
+    bar_at: float  # its place, as a part of the half length x
+    lip: float  # how far a lip at the foot reaches into the opening, 0 for none
+    gate: float  # width of the gate cut into the upper rim of the wall at +y, 0 for none
+    windows: int  # round openings in the wall at -y
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> Frame:

@@ -18,24 +18,17 @@ from kit1000.parts.cad import CrossSection, Manifold, Symmetry
 class Gear:
     """A wheel about z standing on z = 0; a sector is symmetric about +x, a rack runs along x."""
 
-    kind: str
-    """spur, sector or rack"""
+    kind: str  # spur, sector or rack
     teeth: int
     module_mm: float
     width: float
-    bore: float
-    """0 for a pinion cut on its shaft"""
+    bore: float  # 0 for a pinion cut on its shaft
     hub: float
-    hub_height: float
-    """how far the hub stands above the web, 0 for none"""
-    recess: float
-    """depth of the turned recess in the web from both sides, 0 for none"""
-    sweep_deg: float
-    """angle of a sector's toothed rim"""
-    lightening: int
-    """openings in the web of a sector, screw holes of a rack"""
-    key: float
-    """width of the keyway of a sector, 0 for none"""
+    hub_height: float  # how far the hub stands above the web, 0 for none
+    recess: float  # depth of the turned recess in the web from both sides, 0 for none
+    sweep_deg: float  # angle of a sector's toothed rim
+    lightening: int  # openings in the web of a sector, screw holes of a rack
+    key: float  # width of the keyway of a sector, 0 for none
     chamfer: float
 
     @classmethod

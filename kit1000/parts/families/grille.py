@@ -14,24 +14,17 @@ from kit1000.parts.cad import CrossSection, Manifold, Symmetry
 class Grille:
     """A panel on z = 0 inside a rim of the given height."""
 
-    outline: str
-    """cut (a rectangle without a corner), triangle, dee or lug"""
+    outline: str  # cut (a rectangle without a corner), triangle, dee or lug
     x: float
     y: float
-    panel: float
-    """thickness of the panel"""
-    rim: float
-    """height of the rim"""
+    panel: float  # thickness of the panel
+    rim: float  # height of the rim
     wall: float
-    openings: str
-    """round, hex, slots or none"""
+    openings: str  # round, hex, slots or none
     opening: float
-    bridge: float
-    """material between openings"""
-    stud: float
-    """diameter of studs in the corners, 0 for none"""
-    pilot: float
-    """hole in each stud, as a part of its diameter"""
+    bridge: float  # material between openings
+    stud: float  # diameter of studs in the corners, 0 for none
+    pilot: float  # hole in each stud, as a part of its diameter
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> Grille:

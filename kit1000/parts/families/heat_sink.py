@@ -15,27 +15,17 @@ class HeatSink:
     """Fins stand along y on a base x by y; the base reaches past them by an ear at +x."""
 
     fins: int
-    fin: float
-    """thickness of a fin"""
+    fin: float  # thickness of a fin
     gap: float
-    length: float
-    """of the fins, along y"""
-    base: float
-    """thickness of the base"""
-    height: float
-    """of the fins above the base"""
-    ear: float
-    """how far the base reaches out at +x"""
-    ear_width: float
-    """of that ear, as a part of the length; the ear sits at the end of -y"""
-    screw: float
-    """0 for a sink that is glued"""
-    rows: int
-    """cross cuts that make pins of the fins, 0 for plain fins"""
-    low: int
-    """how many fins at -x are cut down to half their height"""
-    shelf: float
-    """how far the fins end before the base at -y, 0 for full length"""
+    length: float  # of the fins, along y
+    base: float  # thickness of the base
+    height: float  # of the fins above the base
+    ear: float  # how far the base reaches out at +x
+    ear_width: float  # of that ear, as a part of the length; the ear sits at the end of -y
+    screw: float  # 0 for a sink that is glued
+    rows: int  # cross cuts that make pins of the fins, 0 for plain fins
+    low: int  # how many fins at -x are cut down to half their height
+    shelf: float  # how far the fins end before the base at -y, 0 for full length
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> HeatSink:

@@ -17,23 +17,17 @@ LIP_MM = 1.9
 class Pulley:
     """A wheel about z standing on z = 0."""
 
-    kind: str
-    """vee, flat, stepped or toothed"""
+    kind: str  # vee, flat, stepped or toothed
     d: float
     width: float
-    groove: float
-    """depth of the groove, or height of the flanges, or of the step"""
-    teeth: int
-    """of a toothed pulley"""
+    groove: float  # depth of the groove, or height of the flanges, or of the step
+    teeth: int  # of a toothed pulley
     bore: float
     hub: float
     hub_height: float
-    web: float
-    """width of the web between hub and rim; the full width means a solid wheel"""
-    spokes: int
-    """0 for a closed web"""
-    flanges: int
-    """discs beside the belt of a flat or toothed pulley"""
+    web: float  # width of the web between hub and rim; the full width means a solid wheel
+    spokes: int  # 0 for a closed web
+    flanges: int  # discs beside the belt of a flat or toothed pulley
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> Pulley:

@@ -14,8 +14,7 @@ from kit1000.parts.cad import Manifold, Symmetry
 class SteppedShaft:
     """The shaft stands along z: lower journal, collar, upper journal, smaller end. The collar's mark is at +x."""
 
-    kind: str
-    """plain, cut, eccentric or crank"""
+    kind: str  # plain, cut, eccentric or crank
     lower: float
     lower_length: float
     collar: float
@@ -23,14 +22,10 @@ class SteppedShaft:
     upper: float
     upper_length: float
     end: float
-    end_length: float
-    """0 for a shaft without the smaller end"""
-    bore: float
-    """hole along the axis, 0 for a full shaft"""
-    mark: float
-    """depth of the cut, offset of the eccentric or reach of the crank"""
-    key: float
-    """width of the key seat in the upper journal, 0 for none"""
+    end_length: float  # 0 for a shaft without the smaller end
+    bore: float  # hole along the axis, 0 for a full shaft
+    mark: float  # depth of the cut, offset of the eccentric or reach of the crank
+    key: float  # width of the key seat in the upper journal, 0 for none
     chamfer: float
 
     @classmethod

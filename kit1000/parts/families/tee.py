@@ -14,28 +14,17 @@ from kit1000.parts.cad import Manifold, Symmetry
 class Tee:
     """The head (run of the pipe, bar, flange of the section) lies along x, the stem rises to +z from its middle."""
 
-    kind: str
-    """pipe, bar or section"""
-    run: float
-    """length of the head"""
-    stem: float
-    """reach of the stem from the head's axis"""
-    shift: float
-    """how far the stem stands from the middle of the head, 0 for an even tee"""
-    thickness: float
-    """outer diameter of a pipe, width of a bar, wall of a section"""
-    depth: float
-    """of a bar or section, along y"""
-    branch: float
-    """the stem's thickness as a part of the head's"""
-    bore: float
-    """inner diameter of a pipe as a part of the outer; diameter of the screw holes, 0 for none"""
-    collar: float
-    """how much wider the pipe's ends are, 0 for none"""
-    collars: int
-    """how many ends wear one"""
-    blend: float
-    """radius of the inner corners"""
+    kind: str  # pipe, bar or section
+    run: float  # length of the head
+    stem: float  # reach of the stem from the head's axis
+    shift: float  # how far the stem stands from the middle of the head, 0 for an even tee
+    thickness: float  # outer diameter of a pipe, width of a bar, wall of a section
+    depth: float  # of a bar or section, along y
+    branch: float  # the stem's thickness as a part of the head's
+    bore: float  # inner diameter of a pipe as a part of the outer; diameter of the screw holes, 0 for none
+    collar: float  # how much wider the pipe's ends are, 0 for none
+    collars: int  # how many ends wear one
+    blend: float  # radius of the inner corners
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> Tee:

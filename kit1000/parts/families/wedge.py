@@ -14,25 +14,18 @@ from kit1000.parts.cad import CrossSection, Manifold, Symmetry
 class Wedge:
     """A profile in the xz plane, the foot on z = 0, extruded along y and centred in it."""
 
-    kind: str
-    """ramp, vee or trapezoid"""
+    kind: str  # ramp, vee or trapezoid
     length: float
     height: float
     width: float
-    land: float
-    """flat at the top"""
-    heel: float
-    """height of the lower end"""
-    toe: float
-    """length of the foot plate beyond the slope, 0 for none"""
+    land: float  # flat at the top
+    heel: float  # height of the lower end
+    toe: float  # length of the foot plate beyond the slope, 0 for none
     hole: float
     holes: int
-    window: float
-    """opening from side to side, wall left around it; 0 for none"""
-    pocket: float
-    """opening from below, wall left around it; 0 for none"""
-    notch: float
-    """width of a slot along the slope, 0 for none"""
+    window: float  # opening from side to side, wall left around it; 0 for none
+    pocket: float  # opening from below, wall left around it; 0 for none
+    notch: float  # width of a slot along the slope, 0 for none
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> Wedge:

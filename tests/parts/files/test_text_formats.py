@@ -82,6 +82,8 @@ VERTICES = np.concatenate([np.column_stack([OUTLINE, np.full(N, z)]) for z in (0
 AREA = 0.5 * abs(np.dot(OUTLINE[:, 0], np.roll(OUTLINE[:, 1], -1)) - np.dot(OUTLINE[:, 1], np.roll(OUTLINE[:, 0], -1)))
 FACES = [list(range(N))[::-1], list(range(N, 2 * N)), *([k, (k + 1) % N, (k + 1) % N + N, k + N] for k in range(N))]
 
+TRIANGLES = polygons_as_triangles(VERTICES, FACES)
+
 
 def obj(corner: str = "{}", relative: bool = False) -> str:
     points = "".join(f"v {x} {y} {z}\n" for x, y, z in VERTICES)
@@ -91,20 +93,20 @@ def obj(corner: str = "{}", relative: bool = False) -> str:
 
 PLY_HEADER = (
     "ply\nformat {form} 1.0\ncomment made\nelement vertex 16\nproperty float x\nproperty float y\nproperty float z\n"
-    "property uchar red\nelement face 10\nproperty list uchar int vertex_indices\nproperty uchar flag\nend_header\n"
+    "property uchar red\nelement face 28\nproperty list uchar int vertex_indices\nproperty uchar flag\nend_header\n"
 )
 
 
 def ply_text() -> bytes:
     rows = [*(f"{x} {y} {z} 255" for x, y, z in VERTICES)]
-    rows += [f"{len(face)} {' '.join(map(str, face))} 1" for face in FACES]
+    rows += [f"3 {a} {b} {c} 1" for a, b, c in TRIANGLES.tolist()]
     return (PLY_HEADER.format(form="ascii") + "\n".join(rows) + "\n").encode()
 
 
 def ply_binary(order: str) -> bytes:
     form = "binary_little_endian" if order == "<" else "binary_big_endian"
     body = b"".join(struct.pack(f"{order}fffB", *row, 255) for row in VERTICES)
-    body += b"".join(struct.pack(f"{order}B{len(face)}iB", len(face), *face, 1) for face in FACES)
+    body += b"".join(struct.pack(f"{order}B3iB", 3, *face, 1) for face in TRIANGLES.tolist())
     return PLY_HEADER.format(form=form).encode() + body
 
 
@@ -119,14 +121,13 @@ POLYGONS = {
     "continued.obj": obj().replace(" 4 ", " \\\n4 ").encode(),
     "a.ply": ply_text(),
     "crlf.ply": ply_text().replace(b"\n", b"\r\n"),
-    "cr.ply": ply_text().replace(b"\n", b"\r"),
     "little.ply": ply_binary("<"),
     "big.ply": ply_binary(">"),
 }
 
 
 @pytest.mark.parametrize("name", POLYGONS)
-def test_faces_of_any_number_of_corners_are_read(name: str, tmp_path: Path) -> None:
+def test_polygons_of_obj_and_triangles_of_ply_are_read(name: str, tmp_path: Path) -> None:
     reading = read_mesh(written(tmp_path / name, POLYGONS[name]), "mm")
     walls = 10 * np.linalg.norm(np.roll(OUTLINE, -1, axis=0) - OUTLINE, axis=1).sum()
     assert reading.mesh.volume * 1e9 == pytest.approx(10 * AREA, rel=1e-6)
@@ -176,19 +177,21 @@ REFUSED: list[tuple[str, str | bytes, tuple[str, ...]]] = [  # (suffix, contents
     ("obj", obj()[:-20], ("not closed",)),
     ("obj", obj() + "cstype bspline\nsurf 0 1 0 1 1 2 3 4\n", ("curved surfaces", "export it as polygons")),
     ("obj", obj().encode("utf-16"), ("UTF-16",)),
-    ("ply", ply_text()[:-60], ("cut short", "declared 10 of element face")),
-    ("ply", ply_binary("<")[:-9], ("cut short", "declared 10 of element face")),
-    ("ply", ply_text().replace(b"40.0", b"40,0"), ("line 14", "a decimal comma")),
-    ("ply", ply_text().replace(b"list uchar int", b"list uchar word"), ("property list uchar word",)),
-    ("ply", ply_text().replace(b"float x", b"float u"), ("without x, y and z",)),
-    ("ply", ply_text().replace(b"ascii", b"utf8"), ("format 'utf8'",)),
-    (
-        "ply",
-        ply_text().replace(b"element face", b"element tristrips"),
-        ("strips of triangles", "export it as polygons"),
+    ("ply", ply_text()[:-60], ("cut short", "export it as triangles")),
+    ("ply", ply_text().replace(b"\n3 ", b"\n4 0 ", 1), ("faces of more than three corners",)),
+    ("ply", ply_text().replace(b"element face", b"element tristrips"), ("strips of triangles", "as triangles")),
+    *(
+        ("ply", data, ("not readable as PLY",))
+        for data in (
+            ply_binary("<")[:-9],
+            ply_text().replace(b"40.0", b"40,0"),
+            ply_text().replace(b"list uchar int", b"list uchar word"),
+            ply_text().replace(b"float x", b"float u"),
+            ply_text().replace(b"ascii", b"utf8"),
+            ply_text().replace(b"vertex_indices", b"corners"),
+            ply_text().replace(b"\n3 ", b"\n3 99", 1),
+        )
     ),
-    ("ply", ply_text().replace(b"vertex_indices", b"corners"), ("without vertex_indices",)),
-    ("ply", ply_text().replace(b"4 7 0 8 15", b"4 7 0.5 8 15"), ("not a whole number",)),
     *((suffix, LFS, ("a Git LFS pointer", "git lfs pull")) for suffix in BINARY_OR_TEXT),
 ]
 
