@@ -44,7 +44,7 @@ LOCK = $(BIN)/uv pip compile pyproject.toml --group pyproject.toml:build --unive
 
 .DEFAULT_GOAL = help
 .DELETE_ON_ERROR:
-.PHONY: help install browser dataset test test-slow check lint site wheel results table1 table2 portable mutants viewers slicer mujoco pictures lock clean
+.PHONY: help install browser dataset test test-slow check lint site wheel results table1 table2 portable viewers slicer mujoco pictures lock clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
@@ -107,9 +107,6 @@ results: $(DEV) ## fill the tables of README and docs from results/ and submissi
 
 portable: $(DEV) ## generate tiny and small as on another processor, and compare every byte
 	$(BIN)/python bench/outside/portable.py tiny small
-
-mutants: $(DEV) ## change sampled places of the scored modules in a copy: do the tests notice? About 15 minutes
-	$(BIN)/python bench/outside/mutants.py
 
 viewers: $(DEV) $(RERUN_VIEWER) ## open recordings of DATA, else of tiny, in Rerun, and take screenshots to look at
 	@$(call debian,command -v xvfb-run,xvfb xauth libxkbcommon-x11-0 libxcursor1 libxi6 libxrandr2)
