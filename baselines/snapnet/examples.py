@@ -1,6 +1,6 @@
-"""Training and validation examples of the networks: inputs and targets, made of a dataset on demand.
+"""Queries with guesses, of which the examples of both networks are made.
 
-A training example is a part of any scene, a goal of its slot, a fresh guess error about it and working axes at any yaw,
+One for training is a part of any scene, a goal of its slot, a fresh guess error about it and working axes at any yaw,
 all drawn from one generator. Validation uses the dataset's queries with their stored guesses, along the world's axes.
 """
 
@@ -11,8 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from baselines.snapnet.candidate_rotations import candidates, nearest_candidate
-from baselines.snapnet.config import PositionConfig, RotationConfig, Source
+from baselines.snapnet.config import Source
 from baselines.snapnet.query_volumes import ImageCache, QueryVolumes
 from baselines.training.tasks.split_queries import SplitQueries, new_guess
 from kit1000.dataset.reader import Dataset
@@ -21,13 +20,7 @@ from kit1000.perception.completion.kits import KitCompleter
 from kit1000.perception.completion.parts import PartCompleter
 from kit1000.pose import Pose, unit_vector
 from kit1000.queries.motions import goal_motion
-from kit1000.rng import stream
 from kit1000.values import FreeAxis, Query, Truth
-
-Example = dict[str, np.ndarray]
-
-HARD = 64  # candidates nearest to the correct one: on the ball those within some 14 degrees
-SEED = 0  # of the points and candidates of validation examples
 
 
 class Residual(NamedTuple):
@@ -114,75 +107,6 @@ class QuerySampler:
         return QueryVolumes(query, self.source, geometry, self.images)
 
 
-class PositionExamples:
-    """Examples for the position network.
-
-    `part`, `kit` (nx, ny, nz) float32 volumes; `offset` (3,) float32 [m] from the guessed to the correct position of
-    the pivot, along working axes; `inside` () bool, whether the cell nearest to the offset is in the window.
-    """
-
-    def __init__(self, sampler: QuerySampler, config: PositionConfig) -> None:
-        """Examples of the sampler's queries, in the sizes of a config."""
-        self.sampler = sampler
-        self.config = config
-
-    def draw(self, rng: np.random.Generator) -> Example:
-        """A training example; the same generator gives the same bytes."""
-        return self._of(self.sampler.draw(rng))
-
-    def stored(self, key: str) -> Example:
-        """The example of a stored query."""
-        return self._of(self.sampler.stored(key))
-
-    def _of(self, sample: QuerySample) -> Example:
-        config = self.config
-        window = np.array(config.window)
-        cell = np.floor(sample.residual.offset / (2 * config.voxel) + window // 2 + 0.5)
-        return sample.volumes.position_inputs(sample.guess, sample.world_from_work, config) | {
-            "offset": sample.residual.offset.astype(np.float32),
-            "inside": np.asarray(((cell >= 0) & (cell < window)).all()),
-        }
-
-
-class RotationExamples:
-    """Examples for the rotation network.
-
-    `part_points` (P, 3) and `kit_points` (K, 3) float32 [m] along working axes: of the part rotated by the guess, about
-    its pivot, and of the kits, about the pivot's correct position plus a jitter; `rotations` (C, 4) float64 wxyz
-    candidates on the left of the guess; `nearest` () int64, the one nearest to a correct rotation; `angles` (C,)
-    float32 [rad] of each to the nearest correct rotation; with `kit_distance`, `kit_volume` (nx, ny, nz) float32.
-    In training C is `config.training_candidates`: the nearest one and negatives, in random order.
-    """
-
-    def __init__(self, sampler: QuerySampler, config: RotationConfig) -> None:
-        """Examples of the sampler's queries, in the sizes of a config."""
-        self.sampler = sampler
-        self.config = config
-        self.candidates = candidates("ball")
-
-    def draw(self, rng: np.random.Generator) -> Example:
-        """A training example; the same generator gives the same bytes."""
-        return self._of(self.sampler.draw(rng), rng)
-
-    def stored(self, key: str, every: bool = False) -> Example:
-        """The example of a stored query, always with the same points, jitter and candidates; `every`: all in order."""
-        return self._of(self.sampler.stored(key), stream(SEED, "check", key), every)
-
-    def _of(self, sample: QuerySample, rng: np.random.Generator, every: bool = False) -> Example:
-        config, residual = self.config, sample.residual
-        jitter = rng.uniform(-config.jitter, config.jitter, 3)
-        work = sample.world_from_work @ Pose.from_translation(residual.offset + jitter)
-        correct, angles = nearest_candidate(self.candidates, residual.rotations, residual.axis)
-        chosen = np.arange(len(angles))
-        if not every:
-            chosen = training_candidates(rng, angles, config.training_candidates, config.hard_negatives)
-        return sample.volumes.rotation_inputs(sample.guess, work, config, rng) | {
-            "rotations": self.candidates.wxyz[chosen],
-            "nearest": np.asarray(np.flatnonzero(chosen == correct)[0], np.int64),
-            "angles": angles[chosen].astype(np.float32),
-        }
-
-
 def query_sample(volumes: QueryVolumes, truth: Truth, guess: Pose, yaw: Pose) -> QuerySample:
     """A query with a guess, along working axes that are the world's, rotated by a yaw."""
     work = Pose(yaw.wxyz, guess.apply(volumes.query.pivot))
@@ -210,23 +134,3 @@ def residual_of(truth: Truth, pivot: np.ndarray, guess: Pose, world_from_work: P
     nearest = int(np.argmin(rotations.angle()))
     offset = axes.inverse().rotate(goals[nearest].apply(pivot) - guess.apply(pivot))
     return Residual(offset, rotations, nearest, axis)
-
-
-def training_candidates(rng: np.random.Generator, angles: np.ndarray, most: int, hard: float = 0.0) -> np.ndarray:
-    """Candidates of a training step: the nearest to a correct rotation and negatives, in random order.
-
-    Args:
-        rng: source of the draw.
-        angles: (n,) [rad] of all candidates to the nearest correct rotation.
-        most: how many; all if there are fewer.
-        hard: share of the negatives that is drawn among the HARD nearest.
-
-    Returns:
-        (most,) indices.
-    """
-    order = np.argsort(angles, kind="stable")
-    negatives = min(most, len(order)) - 1
-    near = min(round(hard * negatives), HARD, negatives)
-    drawn = rng.choice(order[1 : HARD + 1], near, replace=False) if near else order[:0]
-    rest = rng.choice(np.setdiff1d(order[1:], drawn), negatives - near, replace=False)
-    return rng.permutation(np.concatenate([order[:1], drawn, rest]))

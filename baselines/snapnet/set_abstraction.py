@@ -170,23 +170,9 @@ def farthest_points(points: Tensor, count: int) -> Tensor:
     Returns:
         (B, count) indices; of equally far points the first. A smaller count gives a prefix.
     """
-    if points.device.type == "cpu":
-        chosen = np.empty((len(points), count), np.int64)
-        _farthest(np.ascontiguousarray(points.detach().numpy(), np.float32), chosen)
-        return torch.from_numpy(chosen)
-    steps = [points.new_zeros(len(points), dtype=torch.long)]
-    nearest = points.new_full(points.shape[:2], torch.inf)
-    scene = torch.arange(len(points), device=points.device)
-    for _ in range(count - 1):
-        nearest = torch.minimum(nearest, squared_distances(points, points[scene, steps[-1]][:, None]))
-        steps.append(nearest.argmax(1))
-    return torch.stack(steps, 1)
-
-
-def squared_distances(a: Tensor, b: Tensor) -> Tensor:
-    """Squared distances (...) of points (..., 3), broadcasting; summed in the same order on every machine."""
-    x, y, z = (a - b).unbind(-1)
-    return x * x + y * y + z * z
+    chosen = np.empty((len(points), count), np.int64)
+    _farthest(_as_array(points), chosen)
+    return torch.from_numpy(chosen).to(points.device)
 
 
 def ball_query(centres: Tensor, points: Tensor, radii: tuple[float, ...], counts: tuple[int, ...]) -> list[Tensor]:
@@ -201,36 +187,15 @@ def ball_query(centres: Tensor, points: Tensor, radii: tuple[float, ...], counts
     Returns:
         For each scale, (B, S, k) indices; -1 where there are no more.
     """
-    if centres.device.type == "cpu":
-        return _ball_query_compiled(centres, points, radii, counts)
-    return ball_query_sorted(centres, points, radii, counts)
-
-
-def ball_query_sorted(
-    centres: Tensor, points: Tensor, radii: tuple[float, ...], counts: tuple[int, ...]
-) -> list[Tensor]:
-    """The same as `ball_query`, by array operations alone."""
-    distance = squared_distances(centres[:, :, None], points[:, None])  # (B, S, N)
-    number = points.shape[1]
-    order = torch.arange(number, device=points.device, dtype=torch.int32)
-    indices = []
-    for radius, count in zip(radii, counts, strict=True):
-        reached = torch.where(distance <= np.float32(radius) ** 2, order, number)
-        first = reached.topk(min(count, number), largest=False, sorted=True).values.long()
-        first = functional.pad(first, (0, count - first.shape[-1]), value=number)
-        indices.append(first.where(first < number, -1))
-    return indices
-
-
-def _ball_query_compiled(
-    centres: Tensor, points: Tensor, radii: tuple[float, ...], counts: tuple[int, ...]
-) -> list[Tensor]:
     indices = np.full((*centres.shape[:2], sum(counts)), -1, np.int64)
     ends = np.concatenate([[0], np.cumsum(counts)])
     limits = np.array([np.float32(radius) ** 2 for radius in radii], np.float32)
-    arrays = (np.ascontiguousarray(cloud.detach().numpy(), np.float32) for cloud in (centres, points))
-    _scan(*arrays, limits, ends, indices)
-    return [torch.from_numpy(indices[..., a:b]) for a, b in pairwise(ends.tolist())]
+    _scan(_as_array(centres), _as_array(points), limits, ends, indices)
+    return [torch.from_numpy(indices[..., a:b]).to(points.device) for a, b in pairwise(ends.tolist())]
+
+
+def _as_array(points: Tensor) -> np.ndarray:
+    return np.ascontiguousarray(points.detach().cpu().numpy(), np.float32)
 
 
 @compiled

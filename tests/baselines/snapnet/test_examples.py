@@ -5,24 +5,18 @@ from __future__ import annotations
 import pickle
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from baselines.catalog import all_methods, all_networks, weight_paths
 from baselines.snapnet import query_volumes as volumes_module
+from baselines.snapnet.candidate_rotations import candidates
 from baselines.snapnet.config import PositionConfig, RotationConfig, Source
-from baselines.snapnet.examples import (
-    HARD,
-    PositionExamples,
-    QuerySample,
-    QuerySampler,
-    RotationExamples,
-    query_sample,
-    residual_of,
-    training_candidates,
-)
+from baselines.snapnet.examples import QuerySample, QuerySampler, query_sample, residual_of
 from baselines.snapnet.query_volumes import QueryVolumes, grid_about, image_crops
+from baselines.snapnet.task import HARD, PositionTask, RotationTask, training_candidates
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.metrics import Targets, pose_errors
@@ -45,10 +39,20 @@ POSITION = PositionConfig(VOXEL, (32, 32, 32), CELLS, (8, 8, 8))
 ROTATION = RotationConfig(VOXEL, (32, 32, 32), CELLS, "inside", 300, 400, training_candidates=9, jitter=0.0)
 WORLD_MOTION = Pose.from_rotvec((0, 0, 2.0), (0.4, -0.3, 0.0))
 YAWED = Pose.from_rotvec((0, 0, 0.7))
+NO_NETWORK: Any = None
 
 
 def sampler(data: Dataset, source: Source = "truth") -> QuerySampler:
     return QuerySampler(data, "train", source)
+
+
+def position_task(queries: QuerySampler, config: PositionConfig = POSITION) -> PositionTask:
+    """Examples alone, without a network."""
+    return PositionTask(queries, queries, config, NO_NETWORK)
+
+
+def rotation_task(queries: QuerySampler, config: RotationConfig = ROTATION) -> RotationTask:
+    return RotationTask(queries, queries, config, NO_NETWORK)
 
 
 def drawn(data: Dataset, seed: int = 0, source: Source = "truth") -> QuerySample:
@@ -156,8 +160,7 @@ def test_the_part_moved_by_its_offset_fills_the_cavity_without_overlap(data: Dat
 
 @pytest.mark.parametrize("seed", range(3))
 def test_points_of_the_correctly_rotated_part_lie_clear_of_the_kits(data: Dataset, seed: int) -> None:
-    examples = RotationExamples(sampler(data), ROTATION)
-    points, sample = examples.draw(stream(seed))["part_points"], examples.sampler.draw(stream(seed))
+    points, sample = rotation_task(sampler(data)).example(stream(seed))["part_points"], drawn(data, seed)
     work = sample.world_from_work @ Pose.from_translation(sample.residual.offset)
     kit = sample.volumes.kit_volume(work, CELLS, VOXEL)
 
@@ -265,35 +268,27 @@ def test_without_a_guess_the_pivot_goes_to_the_centre_of_the_kits(data: Dataset)
 # examples
 
 
-def position(data: Dataset, source: Source) -> PositionExamples:
-    return PositionExamples(sampler(data, source), POSITION)
-
-
-def rotation(data: Dataset, source: Source) -> RotationExamples:
-    return RotationExamples(sampler(data, source), replace(ROTATION, jitter=2e-3))
-
-
 @pytest.mark.parametrize("source", ["truth", "depth"])
-@pytest.mark.parametrize("made", [position, rotation])
+@pytest.mark.parametrize("made", [position_task, rotation_task])
 def test_the_same_generator_gives_the_same_bytes(data: Dataset, made: Callable, source: Source) -> None:
-    examples = made(data, source)
-    first = examples.draw(stream(1))
-    examples.draw(stream(2))
+    examples = made(sampler(data, source))
+    first = examples.example(stream(1))
+    examples.example(stream(2))
     sent = pickle.loads(pickle.dumps(examples))
     for other in (examples, sent):
-        again = other.draw(stream(1))
+        again = other.example(stream(1))
         assert {name: array.tobytes() for name, array in again.items()} == {
             name: array.tobytes() for name, array in first.items()
         }
     assert all(isinstance(array, np.ndarray) and array.flags.writeable for array in first.values())
     assert len(pickle.dumps(examples)) < 1e5
-    assert examples.stored(examples.sampler.keys(1)[0]).keys() == first.keys()
+    assert examples.validation_example(examples.validation_keys()[0]).keys() == first.keys()
 
 
 def test_position_examples_have_the_sizes_of_their_config_and_flag_offsets_outside(data: Dataset) -> None:
-    examples = PositionExamples(sampler(data), replace(POSITION, window=(10, 8, 6)))
+    examples = position_task(sampler(data), replace(POSITION, window=(10, 8, 6)))
     for seed in range(6):
-        example = examples.draw(stream(seed))
+        example = examples.example(stream(seed))
         assert example["part"].shape == POSITION.part_cells
         assert example["kit"].shape == CELLS
         steps = np.rint(example["offset"] / (2 * VOXEL)) + (5, 4, 3)
@@ -301,15 +296,14 @@ def test_position_examples_have_the_sizes_of_their_config_and_flag_offsets_outsi
 
 
 def test_the_nearest_candidate_is_that_to_any_correct_rotation(data: Dataset) -> None:
-    examples = RotationExamples(QuerySampler(data, "val", "truth"), ROTATION)
-    key = examples.sampler.keys(1)[0]
-    every, some = examples.stored(key, every=True), examples.stored(key)
-    assert len(every["rotations"]) == len(examples.candidates)
+    queries = QuerySampler(data, "val", "truth")
+    examples, key = rotation_task(queries), queries.keys(1)[0]
+    every, some = examples.validation_example(key), examples.example(stream(1))
+    assert len(every["rotations"]) == len(candidates("ball"))
     assert some["rotations"].shape == (9, 4)
     for example in (every, some):
         assert example["angles"].argmin() == example["nearest"]
-    np.testing.assert_array_equal(some["rotations"][some["nearest"]], every["rotations"][every["nearest"]])
-    residual = examples.sampler.stored(key).residual
+    residual = queries.stored(key).residual
     if residual.axis is None:
         angles = quaternion_angle(every["rotations"][:, None], residual.rotations.wxyz).min(1)
         np.testing.assert_allclose(every["angles"], angles, atol=1e-6)
@@ -408,22 +402,22 @@ def test_a_network_fills_more_of_the_kits_and_frees_nothing(
     samplers: tuple[QuerySampler, QuerySampler], seed: int
 ) -> None:
     config = replace(ROTATION, kit_distance=True)
-    columns, network = (RotationExamples(each, config).draw(stream(seed))["kit_volume"] for each in samplers)
+    columns, network = (rotation_task(each, config).example(stream(seed))["kit_volume"] for each in samplers)
     assert ((columns < 0) & (network >= 0)).mean() < 1e-3  # but for distances that are rounded elsewhere
     assert ((network < 0) & (columns >= 0)).mean() > 1e-3
 
 
 def test_the_position_is_read_from_what_is_seen(samplers: tuple[QuerySampler, QuerySampler]) -> None:
-    columns, network = (PositionExamples(each, POSITION).draw(stream(1)) for each in samplers)
+    columns, network = (position_task(each).example(stream(1)) for each in samplers)
     assert {name: array.tobytes() for name, array in columns.items()} == {
         name: array.tobytes() for name, array in network.items()
     }
 
 
 def test_another_process_completes_kits_to_the_same_bytes(samplers: tuple[QuerySampler, QuerySampler]) -> None:
-    examples = RotationExamples(samplers[1], ROTATION)
+    examples = rotation_task(samplers[1])
     sent = pickle.loads(pickle.dumps(examples))
-    here, there = (each.draw(stream(2)) for each in (examples, sent))
+    here, there = (each.example(stream(2)) for each in (examples, sent))
     assert all(here[name].tobytes() == there[name].tobytes() for name in here)
 
 
