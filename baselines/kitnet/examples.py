@@ -32,37 +32,39 @@ Batch = dict[str, Tensor]
 
 
 @dataclass
-class KitNetExamples:
-    """Examples of one split.
+class KitNetTask:
+    """Rotate a part into its slot. Validation examples are never trained on, as they are in the release.
 
-    `part`, `cavity` (P, P) float32 views; `goals` (MOST_GOALS, 4) float32 quaternions, `weights` (MOST_GOALS,) float32
-    1 for a goal and 0 for a row without one.
+    An example has `part`, `cavity` (P, P) float32 views; `goals` (MOST_GOALS, 4) float32 quaternions, `weights`
+    (MOST_GOALS,) float32, 1 for a goal and 0 for a row without one.
     """
 
-    draws: QueryDraws
+    training: QueryDraws
+    validation: QueryDraws
     config: KitNetConfig
+    model: KitNet
 
     def __post_init__(self) -> None:
         self._cavities: dict[tuple[str, int], CavityView | None] = {}
-        self._points = lru_cache(PARTS)(self._points_of)
+        self._points = lru_cache(PARTS)(points_of)
 
-    def __reduce__(self) -> tuple[type[KitNetExamples], tuple[QueryDraws, KitNetConfig]]:
-        return KitNetExamples, (self.draws, self.config)
+    def __reduce__(self) -> tuple[type[KitNetTask], tuple[QueryDraws, QueryDraws, KitNetConfig, KitNet]]:
+        return KitNetTask, (self.training, self.validation, self.config, self.model)
 
-    def draw(self, rng: np.random.Generator) -> Example:
-        """A training example, rotated, shifted, with pixels wiped at random: with a guess, or upright without one."""
-        sample = self.draws.draw(rng, "ball" if rng.random() < 0.5 else "place")
+    def example(self, rng: np.random.Generator) -> Example:
+        """A part within some 30 degrees of a goal, rotated, shifted, with pixels wiped: with a guess, or upright."""
+        sample = self.training.draw(rng, "ball" if rng.random() < 0.5 else "place")
         example = self._of(sample, rng, rng.uniform(-1, 1, (2, 2)) * self.config.shift)
         return example | {name: wiped(example[name], self.config.zeroed, rng) for name in ("part", "cavity")}
 
-    def keys(self, count: int) -> Sequence[str]:
-        """Ids of validation queries: of snap and of place alternately."""
-        each = (self.draws.queries.keys(track, -(-count // 2)) for track in ("snap", "place"))
-        return [key for pair in zip(*each, strict=False) for key in pair][:count]
+    def validation_keys(self) -> Sequence[str]:
+        """Ids of queries, spread evenly over their split: of snap and of place alternately."""
+        each = (self.validation.queries.keys(track, VALIDATION_QUERIES // 2) for track in ("snap", "place"))
+        return [key for pair in zip(*each, strict=False) for key in pair]
 
-    def stored(self, key: str) -> Example:
-        """The example of a stored query with its guess; without one the part begins at a yaw that depends on the id."""
-        return self._of(self.draws.stored(key), stream(0, "kitnet", key), np.zeros((2, 2)))
+    def validation_example(self, key: str) -> Example:
+        """A stored query with its guess; without one the part begins at a yaw that depends on the id."""
+        return self._of(self.validation.stored(key), stream(0, "kitnet", key), np.zeros((2, 2)))
 
     def _of(self, sample: GoalQuery, rng: np.random.Generator, shifts: np.ndarray) -> Example:
         config = self.config
@@ -80,7 +82,7 @@ class KitNetExamples:
             part_from_world = Pose.from_rotvec((0.0, 0.0, yaw))
         else:
             part_from_world = view_from_world @ rotation_of(sample.guess)
-        points = self._points(sample.query.scene_id, sample.query.part, sample.guess is not None)
+        points = self._points(sample.heights.parts[sample.query.part], sample.guess is not None)
         part = part_image(part_from_world.rotate(points), shifts[0], config.pixels, config.pixel)
         rotations = (goals @ part_from_world.inverse()).wxyz[:MOST_GOALS]
         padded, weights = np.zeros((MOST_GOALS, 4), np.float32), np.zeros(MOST_GOALS, np.float32)
@@ -95,8 +97,16 @@ class KitNetExamples:
             self._cavities[key] = cavity_view(sample.heights.kits, plane)
         return self._cavities[key]
 
-    def _points_of(self, scene_id: str, part: int, any_axis: bool) -> np.ndarray:
-        return points_of(self.draws.heights.of(scene_id).parts[part], any_axis)
+    def loss(self, batch: Batch) -> Tensor:
+        """() the mean of `rotation_loss`."""
+        return rotation_loss(self._predicted(batch), batch["goals"], batch["weights"]).mean()
+
+    def measure(self, batch: Batch) -> Batch:
+        """(B,) `rotation_deg`: the angle to the nearest goal."""
+        return {"rotation_deg": torch.rad2deg(rotation_error(self._predicted(batch), batch["goals"], batch["weights"]))}
+
+    def _predicted(self, batch: Batch) -> Tensor:
+        return self.model(batch["part"], batch["cavity"])
 
 
 def points_of(part: HeightMap, any_axis: bool) -> np.ndarray:
@@ -122,40 +132,8 @@ def wiped(view: np.ndarray, share: float, rng: np.random.Generator) -> np.ndarra
     return np.where(keep, view, np.float32(0))
 
 
-@dataclass
-class KitNetTask:
-    """Rotate a part into its slot. Validation examples are never trained on, as they are in the release."""
-
-    training: KitNetExamples
-    validation: KitNetExamples
-    model: KitNet
-
-    def example(self, rng: np.random.Generator) -> Example:
-        """A part of any scene, within some 30 degrees of a goal."""
-        return self.training.draw(rng)
-
-    def validation_keys(self) -> Sequence[str]:
-        """Ids of queries, spread evenly over their split."""
-        return self.validation.keys(VALIDATION_QUERIES)
-
-    def validation_example(self, key: str) -> Example:
-        """The query as it lies."""
-        return self.validation.stored(key)
-
-    def loss(self, batch: Batch) -> Tensor:
-        """() the mean of `rotation_loss`."""
-        return rotation_loss(self._predicted(batch), batch["goals"], batch["weights"]).mean()
-
-    def measure(self, batch: Batch) -> Batch:
-        """(B,) `rotation_deg`: the angle to the nearest goal."""
-        return {"rotation_deg": torch.rad2deg(rotation_error(self._predicted(batch), batch["goals"], batch["weights"]))}
-
-    def _predicted(self, batch: Batch) -> Tensor:
-        return self.model(batch["part"], batch["cavity"])
-
-
 def kitnet_task(dataset: Dataset, preset: str) -> KitNetTask:
     """The task with new weights."""
     config, heights = KITNET[preset], RenderedHeights.beside(dataset)
-    training, validation = (KitNetExamples(QueryDraws(dataset, split, heights), config) for split in ("train", "val"))
-    return KitNetTask(training, validation, KitNet(config))
+    training, validation = (QueryDraws(dataset, split, heights) for split in ("train", "val"))
+    return KitNetTask(training, validation, config, KitNet(config))

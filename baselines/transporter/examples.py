@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -69,57 +69,69 @@ def goals_of(sample: GoalQuery, start: Start) -> Goals:
 
 
 @dataclass
-class TransporterExamples:
-    """Examples of one split.
+class TransporterTask:
+    """Predict the pose of a part at its goal: examples are of a query without a guess, and of one with a guess.
 
-    `kits` (3, n, n), `part` (3, c, c) float32 maps; `yaws` (Y,) int64 the yaws that are scored; `window` (m, m) bool
-    the points that are; `base` (m, m) float32 [m] mean heights about them; `cells` (MOST_CELLS, 3) int64 layer and
-    point of the goals' cells, `shares` (MOST_CELLS,) float32 their shares; `point` (2,) int64 the point nearest to one
-    goal, `layers` (2,) int64 those about its yaw, `height` () float32 [m] and `tilt` (2,) float32 [rad] of it.
+    One of them has `kits` (3, n, n), `part` (3, c, c) float32 maps; `yaws` (Y,) int64 the yaws that are scored;
+    `window` (m, m) bool the points that are; `base` (m, m) float32 [m] mean heights about them; `cells` (MOST_CELLS, 3)
+    int64 layer and point of the goals' cells, `shares` (MOST_CELLS,) float32 their shares; `point` (2,) int64 the point
+    nearest to one goal, `layers` (2,) int64 those about its yaw, `height` () float32 [m] and `tilt` (2,) float32 [rad]
+    of it. For validation it has the `yaws` to search and MOST_GOALS goals: `xyz` (MOST_GOALS, 3) float32 [m] of the
+    pivot, `wxyz` (MOST_GOALS, 4) float32 after the start's rotation.
     """
 
-    draws: QueryDraws
+    training: QueryDraws
+    validation: QueryDraws
     config: TransporterConfig
+    model: TransporterNet
 
     def __post_init__(self) -> None:
-        self._shell = lru_cache(PARTS)(self._shell_of)
+        self._shell = lru_cache(PARTS)(shell_points)
 
-    def __reduce__(self) -> tuple[type[TransporterExamples], tuple[QueryDraws, TransporterConfig]]:
-        return TransporterExamples, (self.draws, self.config)
+    def __reduce__(self) -> tuple[type[TransporterTask], tuple[Any, ...]]:
+        return TransporterTask, (self.training, self.validation, self.config, self.model)
 
-    def draw(self, rng: np.random.Generator, guesses: Guesses) -> Example:
-        """A training example in a work frame of any yaw; without a guess the part is rotated by any yaw too."""
-        sample = self.draws.draw(rng, guesses)
+    def example(self, rng: np.random.Generator) -> Example:
+        """A part without a guess, and one with a guess of either kind."""
+        guesses: Guesses = "tilt" if rng.random() < 0.5 else "ball"
+        place, guess = self.drawn(rng, "place"), self.drawn(rng, guesses)
+        return _named("place", place) | _named("guess", guess)
+
+    def drawn(self, rng: np.random.Generator, guesses: Guesses) -> Example:
+        """A query in a work frame of any yaw; without a guess the part is rotated by any yaw too."""
+        sample = self.training.draw(rng, guesses)
         start = start_of(sample.heights, sample.query.pivot, sample.guess, rng.uniform(0, 2 * np.pi))
         if not start.guessed:
             start = Start(start.work_from_world, Pose.from_rotvec((0, 0, rng.uniform(0, 2 * np.pi))), False)
         goals = goals_of(sample, start)
         goal = int(rng.integers(len(goals.yaws)))
-        return self.maps(sample, start) | self._targets(goals, goal, start, rng)
+        return self._maps(sample, start) | self._targets(goals, goal, start, rng)
 
-    def keys(self, guesses: Guesses, count: int) -> Sequence[str]:
-        """Ids of validation queries."""
-        return self.draws.queries.keys(TRACK_OF[guesses], count)
+    def validation_keys(self) -> Sequence[tuple[str, str]]:
+        """Pairs of ids of queries: of place and of snap-tilt."""
+        keys = [self.validation.queries.keys(TRACK_OF[guesses], VALIDATION_PAIRS) for guesses in ("place", "tilt")]
+        return list(zip(*keys, strict=False))
 
-    def stored(self, key: str) -> Example:
-        """The maps of a stored query along the axes of the world, the `yaws` to search, and MOST_GOALS of its goals.
+    def validation_example(self, key: tuple[str, str]) -> Example:
+        """Both queries as they are stored, along the axes of the world."""
+        place, tilt = map(self._stored, key)
+        return _named("place", place) | _named("tilt", tilt)
 
-        `xyz` (MOST_GOALS, 3) float32 [m], `wxyz` (MOST_GOALS, 4) float32: of the pivot, and after the start's rotation.
-        """
-        sample = self.draws.stored(key)
+    def _stored(self, key: str) -> Example:
+        sample = self.validation.stored(key)
         start = start_of(sample.heights, sample.query.pivot, sample.guess)
         motions = start.work_from_world @ sample.goals
         rotations = Pose(motions.wxyz, np.zeros_like(motions.xyz)) @ start.work_from_part.inverse()
         chosen = np.arange(MOST_GOALS) * len(motions) // MOST_GOALS
-        return self.maps(sample, start) | {
+        return self._maps(sample, start) | {
             "yaws": searched_yaws(sample.query),
             "xyz": motions.apply(sample.query.pivot)[chosen].astype(np.float32),
             "wxyz": rotations.wxyz[chosen].astype(np.float32),
         }
 
-    def maps(self, sample: GoalQuery, start: Start) -> Example:
+    def _maps(self, sample: GoalQuery, start: Start) -> Example:
         """The inputs of the network, see `search_inputs`."""
-        shell = self._shell(sample.query.scene_id, sample.query.part) - sample.query.pivot
+        shell = self._shell(sample.heights.parts[sample.query.part]) - sample.query.pivot
         return search_inputs(sample.heights.kits, shell, start, self.config)
 
     def _targets(self, goals: Goals, goal: int, start: Start, rng: np.random.Generator) -> Example:
@@ -141,8 +153,23 @@ class TransporterExamples:
             "tilt": goals.tilts[goal].astype(np.float32),
         }
 
-    def _shell_of(self, scene_id: str, part: int) -> np.ndarray:
-        return shell_points(self.draws.heights.of(scene_id).parts[part])
+    def loss(self, batch: Batch) -> Tensor:
+        """() the mean of `transporter_loss` of the queries without and with a guess."""
+        return (
+            transporter_loss(self.model, _own("place", batch)) + transporter_loss(self.model, _own("guess", batch))
+        ) / 2
+
+    def measure(self, batch: Batch) -> Batch:
+        """(B,) errors to the nearest goal, and `of_paper`: their mean as a multiple of the paper's."""
+        measured: dict[str, Tensor] = {}
+        for name in ("place", "tilt"):
+            own = _own(name, batch)
+            errors = [
+                _errors(self.model, {key: value[i] for key, value in own.items()}) for i in range(len(own["kits"]))
+            ]
+            measured[f"{name}_mm"], measured[f"{name}_deg"] = torch.tensor(errors).T
+        shares = [measured[f"{name}_{unit}"] / PAPER[name][i] for name in PAPER for i, unit in enumerate(("mm", "deg"))]
+        return {"of_paper": torch.stack(shares).mean(0), **measured}
 
 
 def searched_yaws(query: Query) -> np.ndarray:
@@ -178,49 +205,6 @@ def _cells_of(
     padded, weights = np.zeros((MOST_CELLS, 3), np.int64), np.zeros(MOST_CELLS, np.float32)
     padded[: len(cells)], weights[: len(cells)] = cells, shares / max(shares.sum(), 1e-9)
     return padded, weights
-
-
-@dataclass
-class TransporterTask:
-    """Predict the pose of a part at its goal."""
-
-    training: TransporterExamples
-    validation: TransporterExamples
-    model: TransporterNet
-
-    def example(self, rng: np.random.Generator) -> Example:
-        """A part without a guess, and one with a guess of either kind."""
-        guesses: Guesses = "tilt" if rng.random() < 0.5 else "ball"
-        place, guess = self.training.draw(rng, "place"), self.training.draw(rng, guesses)
-        return _named("place", place) | _named("guess", guess)
-
-    def validation_keys(self) -> Sequence[tuple[str, str]]:
-        """Pairs of ids of queries: of place and of snap-tilt."""
-        keys = [self.validation.keys(guesses, VALIDATION_PAIRS) for guesses in ("place", "tilt")]
-        return list(zip(*keys, strict=False))
-
-    def validation_example(self, key: tuple[str, str]) -> Example:
-        """Both queries, as they are stored."""
-        place, tilt = map(self.validation.stored, key)
-        return _named("place", place) | _named("tilt", tilt)
-
-    def loss(self, batch: Batch) -> Tensor:
-        """() the mean of `transporter_loss` of the queries without and with a guess."""
-        return (
-            transporter_loss(self.model, _own("place", batch)) + transporter_loss(self.model, _own("guess", batch))
-        ) / 2
-
-    def measure(self, batch: Batch) -> Batch:
-        """(B,) errors to the nearest goal, and `of_paper`: their mean as a multiple of the paper's."""
-        measured: dict[str, Tensor] = {}
-        for name in ("place", "tilt"):
-            own = _own(name, batch)
-            errors = [
-                _errors(self.model, {key: value[i] for key, value in own.items()}) for i in range(len(own["kits"]))
-            ]
-            measured[f"{name}_mm"], measured[f"{name}_deg"] = torch.tensor(errors).T
-        shares = [measured[f"{name}_{unit}"] / PAPER[name][i] for name in PAPER for i, unit in enumerate(("mm", "deg"))]
-        return {"of_paper": torch.stack(shares).mean(0), **measured}
 
 
 def transporter_loss(net: TransporterNet, batch: Batch) -> Tensor:
@@ -266,7 +250,5 @@ def _own(name: str, batch: Batch) -> Batch:
 def transporter_task(dataset: Dataset, preset: str) -> TransporterTask:
     """The task with new weights."""
     config, heights = TRANSPORTER[preset], RenderedHeights.beside(dataset)
-    training, validation = (
-        TransporterExamples(QueryDraws(dataset, split, heights), config) for split in ("train", "val")
-    )
-    return TransporterTask(training, validation, TransporterNet(config))
+    training, validation = (QueryDraws(dataset, split, heights) for split in ("train", "val"))
+    return TransporterTask(training, validation, config, TransporterNet(config))

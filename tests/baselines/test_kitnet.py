@@ -13,7 +13,7 @@ from torch.utils.data import default_collate
 from baselines.heights.maps import UNSEEN, HeightMap
 from baselines.heights.scene_heights import RenderedHeights
 from baselines.kitnet.config import KitNetConfig
-from baselines.kitnet.examples import KitNetExamples, wiped
+from baselines.kitnet.examples import KitNetTask, wiped
 from baselines.kitnet.method import KitNetMethod, seat
 from baselines.kitnet.network import KitNet, rotation_error, rotation_loss
 from baselines.kitnet.views import cavity_image, cavity_view, part_image
@@ -129,12 +129,17 @@ def test_wiping_sets_pixels_to_zero_and_changes_no_other() -> None:
     assert (view == 1).all()
 
 
+def tiny_task(mini: Path, folder: Path) -> KitNetTask:
+    dataset = Dataset(mini)
+    draws = QueryDraws(dataset, "train", RenderedHeights(dataset, folder))
+    return KitNetTask(draws, draws, TINY, KitNet(TINY))
+
+
 def test_examples_begin_within_the_range_of_the_method(mini: Path, tmp_path: Path) -> None:
     """A goal is at most 30 degrees away, of a guess 27.5; half a step more where the goals stand for a free axis."""
-    dataset = Dataset(mini)
-    examples = KitNetExamples(QueryDraws(dataset, "train", RenderedHeights(dataset, tmp_path)), TINY)
+    task = tiny_task(mini, tmp_path)
     for k in range(8):
-        example = examples.draw(stream(k, "kitnet"))
+        example = task.example(stream(k, "kitnet"))
         assert example["part"].shape == example["cavity"].shape == (32, 32)
         goals = example["goals"][example["weights"] > 0]
         assert np.linalg.norm(goals, axis=1) == pytest.approx(1, abs=1e-5)
@@ -144,12 +149,10 @@ def test_examples_begin_within_the_range_of_the_method(mini: Path, tmp_path: Pat
 @pytest.mark.slow
 def test_one_batch_is_learned(mini: Path, tmp_path: Path) -> None:
     torch.manual_seed(0)
-    dataset = Dataset(mini)
-    draws = QueryDraws(dataset, "train", RenderedHeights(dataset, tmp_path))
-    examples = KitNetExamples(draws, TINY)
-    drawn = [examples.draw(stream(k, "overfit")) for k in range(8)]
+    task = tiny_task(mini, tmp_path)
+    drawn = [task.example(stream(k, "overfit")) for k in range(8)]
     batch = default_collate([{key: torch.as_tensor(value) for key, value in one.items()} for one in drawn])
-    net = KitNet(TINY)
+    net = task.model
     optimizer = torch.optim.Adam(net.parameters(), 3e-3)
     losses = []
     for _ in range(40):

@@ -14,7 +14,7 @@ from baselines.heights.maps import HeightMap
 from baselines.heights.scene_heights import RenderedHeights, SceneHeights
 from baselines.training.tasks.goal_draws import QueryDraws
 from baselines.transporter.config import TRANSPORTER, YAW_STEP, YAWS, TransporterConfig
-from baselines.transporter.examples import GUESS_YAWS, TransporterExamples, goals_of, transporter_loss
+from baselines.transporter.examples import GUESS_YAWS, TransporterTask, goals_of, transporter_loss
 from baselines.transporter.inputs import guess_window, kit_maps, part_maps, start_of
 from baselines.transporter.lattice import (
     lattice_of,
@@ -189,16 +189,16 @@ def test_the_paper_preset_has_the_layers_and_the_size_of_the_paper() -> None:
     assert TRANSPORTER["paper"].pixel * TRANSPORTER["paper"].kits == pytest.approx(0.7, abs=1e-3)
 
 
-def examples_of(mini: Path, folder: Path) -> TransporterExamples:
-    """Of the training split."""
+def tiny_task(mini: Path, folder: Path) -> TransporterTask:
     dataset = Dataset(mini)
-    return TransporterExamples(QueryDraws(dataset, "train", RenderedHeights(dataset, folder)), TINY)
+    draws = QueryDraws(dataset, "train", RenderedHeights(dataset, folder))
+    return TransporterTask(draws, draws, TINY, TransporterNet(TINY))
 
 
 def test_goals_are_the_motions_that_cells_heights_and_tilts_stand_for(mini: Path, tmp_path: Path) -> None:
-    examples = examples_of(mini, tmp_path)
+    task = tiny_task(mini, tmp_path)
     for k, guesses in enumerate(("place", "ball", "tilt")):
-        sample = examples.draws.draw(stream(k, "goals"), guesses)
+        sample = task.training.draw(stream(k, "goals"), guesses)
         start = start_of(sample.heights, sample.query.pivot, sample.guess, yaw=0.7)
         goals = goals_of(sample, start)
         for xyz, tilt, yaw in zip(*goals, strict=True):
@@ -212,8 +212,8 @@ def test_goals_are_the_motions_that_cells_heights_and_tilts_stand_for(mini: Path
 
 def test_turning_the_work_frame_turns_the_maps_and_keeps_the_goal(mini: Path, tmp_path: Path) -> None:
     """A quarter turn: the same pixels elsewhere, the same yaw, height and size of the tilt."""
-    examples = examples_of(mini, tmp_path)
-    sample = examples.draws.draw(stream(0, "turn"), "ball")
+    task = tiny_task(mini, tmp_path)
+    sample = task.training.draw(stream(0, "turn"), "ball")
     plain, turned = (start_of(sample.heights, sample.query.pivot, sample.guess, yaw) for yaw in (0.0, np.pi / 2))
     maps, base = kit_maps(sample.heights.kits, plain, TINY)
     turned_maps, turned_base = kit_maps(sample.heights.kits, turned, TINY)
@@ -227,16 +227,16 @@ def test_turning_the_work_frame_turns_the_maps_and_keeps_the_goal(mini: Path, tm
 
 
 def test_targets_of_a_guess_lie_in_its_window(mini: Path, tmp_path: Path) -> None:
-    examples = examples_of(mini, tmp_path)
+    task = tiny_task(mini, tmp_path)
     for k in range(6):
-        example = examples.draw(stream(k, "window"), "ball")
+        example = task.drawn(stream(k, "window"), "ball")
         _, row, column = example["cells"].T
         used = example["shares"] > 0
         assert used.any()
         assert example["window"][row[used], column[used]].all()
         assert (example["yaws"] == GUESS_YAWS).all()
         assert example["shares"].sum() == pytest.approx(1, abs=1e-5)
-    start = start_of(examples.draws.draw(stream(0, "w"), "tilt").heights, np.zeros(3), Pose.identity())
+    start = start_of(task.training.draw(stream(0, "w"), "tilt").heights, np.zeros(3), Pose.identity())
     axis = (np.arange(start.points(TINY)) - (start.points(TINY) - 1) / 2) * TINY.pixel
     inside = np.abs(axis) <= MAX_OFFSET + 2 * TINY.pixel
     assert (guess_window(start, TINY) == (inside[:, None] & inside)).all()
@@ -261,8 +261,9 @@ def test_predictions_stay_in_the_window_of_the_guess(seed: int) -> None:
 def test_one_batch_is_learned(mini: Path, tmp_path: Path) -> None:
     """The cell of the goal, its height and its tilt, in a query without and one with a guess."""
     torch.manual_seed(0)
-    examples, net = examples_of(mini, tmp_path), TransporterNet(TINY)
-    drawn = [examples.draw(stream(3, guesses), guesses) for guesses in ("place", "tilt")]
+    task = tiny_task(mini, tmp_path)
+    net = task.model
+    drawn = [task.drawn(stream(3, guesses), guesses) for guesses in ("place", "tilt")]
     batches = [default_collate([{key: torch.as_tensor(value) for key, value in one.items()}]) for one in drawn]
     optimizer = torch.optim.Adam(net.parameters(), 4e-3)
     first = last = np.zeros(2)
