@@ -15,7 +15,6 @@ RERUN   =
 PAGES   = $(BIN)/python -m benchmark pages --submissions "$(SUBMISSIONS)" --out "$(SITE)/board"
 RESCORE = $(BIN)/python -m benchmark rescore $(SCORED) --data "$(DATA)" --workers $(or $(WORKERS),2)
 UPGRADE =
-BOP     =
 ROWS    = runs/table2
 AREA    =
 AREAS   = $(sort $(patsubst tests/%/,%,$(dir $(wildcard tests/*/test_*.py tests/*/*/test_*.py))))
@@ -35,16 +34,14 @@ DEV  = $(VENV)/.installed-dev
 TORCH = torch==2.13.0 # outside the lock: the same version is another build on another machine
 PIP  = $(BIN)/python -m pip --disable-pip-version-check --quiet
 VIEWERS = .viewers
-RERUN_VIEWER = $(VIEWERS)/bin/rerun
-RERUN_SDK = rerun-sdk==0.41.0 # outside the lock, in an environment of its own: it is large and brings pyarrow along
 ENGINE = $(VIEWERS)/mujoco
-MUJOCO = mujoco==4.0.0 # likewise
+MUJOCO = mujoco==4.0.0 # outside the lock, in an environment of its own
 LOCK = $(BIN)/uv pip compile pyproject.toml --group pyproject.toml:build --universal --python-version 3.10 \
        --generate-hashes --quiet $(if $(UPGRADE),--upgrade) --custom-compile-command "make lock"
 
 .DEFAULT_GOAL = help
 .DELETE_ON_ERROR:
-.PHONY: help install browser dataset test test-slow check lint site wheel results table1 table2 portable viewers slicer mujoco pictures lock clean
+.PHONY: help install browser dataset test test-slow check lint site wheel results table1 table2 portable mujoco pictures lock clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
@@ -108,15 +105,6 @@ results: $(DEV) ## fill the tables of README and docs from results/ and submissi
 portable: $(DEV) ## generate tiny and small as on another processor, and compare every byte
 	$(BIN)/python bench/outside/portable.py tiny small
 
-viewers: $(DEV) $(RERUN_VIEWER) ## open recordings of DATA, else of tiny, in Rerun, and take screenshots to look at
-	@$(call debian,command -v xvfb-run,xvfb xauth libxkbcommon-x11-0 libxcursor1 libxi6 libxrandr2)
-	@$(call debian,ls /usr/share/vulkan/icd.d/lvp_icd*,mesa-vulkan-drivers)
-	$(BIN)/python bench/outside/viewers.py $(RERUN_VIEWER) --out $(VIEWERS)/out --data "$(DATA)"
-
-slicer: $(DEV) ## give kits and assemblies of DATA, else of tiny, to PrusaSlicer; BOP=DIR also scenes to BOP's toolkit
-	@$(call debian,command -v prusa-slicer,prusa-slicer)
-	$(BIN)/python bench/outside/slicer.py --out $(VIEWERS)/out --data "$(DATA)" $(if $(BOP),--bop "$(BOP)")
-
 mujoco: $(ENGINE)/.installed ## insert parts of DATA, else of tiny, in MuJoCo; OUT=results writes what it measures
 	$(ENGINE)/bin/python bench/outside/mujoco_scenes.py $(MEASURED) $(if $(OUT),--out "$(OUT)/mujoco.json")
 
@@ -152,11 +140,6 @@ $(DEV): $(RUN) requirements/dev.txt
 	@$(PIP) install $(TORCH)
 	@touch $(DEV)
 
-$(RERUN_VIEWER): $(RUN)
-	@echo "installing Rerun into $(VIEWERS)" >&2
-	@rm -rf $(VIEWERS)/bin && $(BIN)/python -m venv $(VIEWERS)
-	@$(VIEWERS)/bin/python -m pip --disable-pip-version-check --quiet install $(RERUN_SDK)
-
 $(ENGINE)/.installed: pyproject.toml requirements/run.txt
 	@echo "installing MuJoCo into $(ENGINE)" >&2
 	@sh requirements/environment.sh "$(ENGINE)" "$(PYTHON)"
@@ -170,10 +153,4 @@ define chromium
 	for name in chromium chromium-browser google-chrome; do ! command -v $$name >/dev/null || exit 0; done; \
 	command -v apt-get >/dev/null && { $(SUDO) apt-get update && $(SUDO) apt-get install -y chromium; } >/dev/null 2>&1 || \
 	    echo "no Chromium here: tests of the pages will be skipped (Debian: apt-get install chromium)" >&2
-endef
-
-# Installs packages of Debian or Ubuntu where a test fails: $(call debian,TEST,PACKAGES)
-define debian
-	$(1) >/dev/null 2>&1 || { $(SUDO) apt-get update && $(SUDO) apt-get install -y --no-install-recommends $(2); } \
-	    >/dev/null 2>&1 || { echo "missing here, and could not be installed: $(2)" >&2; exit 1; }
 endef

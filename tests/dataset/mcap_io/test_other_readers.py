@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 import sys
@@ -98,3 +99,15 @@ def test_models_are_at_the_poses_of_their_bodies(recorded: Path, tmp_path: Path)
         q, t = model.pose.orientation, model.pose.position
         pose = Pose(np.array([q.w, q.x, q.y, q.z]), np.array([t.x, t.y, t.z]))
         np.testing.assert_allclose(pose.apply(drawn.vertices), world_from_body.apply(mesh.vertices), atol=1e-8)
+
+
+def test_the_layout_shows_topics_that_recordings_have() -> None:
+    layout = json.loads((ROOT / "docs/assets/foxglove-layout.json").read_text(encoding="utf-8"))
+    documented = set(re.findall(r"`(/[a-z0-9/]+)`", PAGE.read_text(encoding="utf-8")))
+    panels = layout["configById"]
+    modes = [panel["imageMode"] for panel in panels.values() if "imageMode" in panel]
+    shown = {*panels["3D!scene"]["topics"], *(mode[key] for mode in modes for key in mode if key.endswith("Topic"))}
+    assert shown <= documented
+    assert panels["3D!scene"]["followTf"] == "world"
+    used = json.dumps([layout["layout"], panels["Tab!images"]])
+    assert all(name in used for name in panels)
