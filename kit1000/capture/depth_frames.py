@@ -26,14 +26,10 @@ SMOOTHER = 8.0  # ratio of the steps between neighbours from which the bytes of 
 class DepthFrame:
     """One frame as it was stored."""
 
-    values: np.ndarray
-    """(H, W) unsigned integers or floats; 0 or not finite: no return."""
-    source: str
-    """The file, and its topic if it has several, for messages."""
-    unit: float | None = None
-    """[m] that 1 stands for, if the format says so."""
-    intrinsics: Intrinsics | None = None
-    """Intrinsics that came with it."""
+    values: np.ndarray  # (H, W) unsigned integers or floats; 0 or not finite: no return
+    source: str  # the file, and its topic if it has several, for messages
+    unit: float | None = None  # [m] that 1 stands for, if the format says so
+    intrinsics: Intrinsics | None = None  # intrinsics that came with it
 
     def __post_init__(self) -> None:
         values = self.values

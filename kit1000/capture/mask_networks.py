@@ -26,10 +26,8 @@ LONGEST = 0.2  # [m] of bodies that may be several parts: the networks know part
 class Found(NamedTuple):
     """What segmentation sees."""
 
-    body: np.ndarray
-    """(H, W) bool: something on the table."""
-    instances: np.ndarray
-    """(H, W) int: from 1 on the parts of the parts' half, 0 elsewhere."""
+    body: np.ndarray  # (H, W) bool: something on the table
+    instances: np.ndarray  # (H, W) int: from 1 on the parts of the parts' half, 0 elsewhere
 
 
 def networks_available() -> bool:

@@ -37,14 +37,11 @@ class OwnScene:
 
     source: str
     table: Table
-    bodies: tuple[SeenBody, ...]
-    """The kit first, then the parts in order."""
+    bodies: tuple[SeenBody, ...]  # the kit first, then the parts in order
     world: OwnWorld
-    image: LabelledDepth
-    """In that world, with masks, depths on the grid of recordings."""
+    image: LabelledDepth  # in that world, with masks, depths on the grid of recordings
     facts: SensorFacts
-    intrinsics: str
-    """Where the intrinsics come from."""
+    intrinsics: str  # where the intrinsics come from
 
     @property
     def kit(self) -> SeenBody:

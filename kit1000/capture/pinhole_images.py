@@ -21,10 +21,8 @@ class PinholeImage:
     """A depth image and its camera."""
 
     camera: Camera
-    depth: np.ndarray
-    """(H, W) float32 [m], 0 without a return."""
-    enlarged: float = 1.0
-    """Number of its pixels for one of the recorded image, along a row."""
+    depth: np.ndarray  # (H, W) float32 [m], 0 without a return
+    enlarged: float = 1.0  # number of its pixels for one of the recorded image, along a row
 
 
 def pinhole_image(depth: np.ndarray, intrinsics: Intrinsics, source: str) -> PinholeImage:

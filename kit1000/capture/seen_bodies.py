@@ -39,25 +39,18 @@ MOST_POINTS = 2000  # whose smallest rectangle is searched
 class SeenBody:
     """A body."""
 
-    mask: np.ndarray
-    """(H, W) bool"""
-    area: float
-    """[m^2] as seen from straight above."""
-    height: float
-    """[m] above the table, 98th percentile."""
-    sides: tuple[float, float]
-    """[m] of the smallest rectangle about it from above, the shorter first."""
-    centre: np.ndarray
-    """(2,) [m] along the table's `axes`."""
+    mask: np.ndarray  # (H, W) bool
+    area: float  # [m^2] as seen from straight above
+    height: float  # [m] above the table, 98th percentile
+    sides: tuple[float, float]  # [m] of the smallest rectangle about it from above, the shorter first
+    centre: np.ndarray  # (2,) [m] along the table's `axes`
 
 
 class SeenBodies(NamedTuple):
     """The bodies of an image, the largest first."""
 
-    sure: list[SeenBody]
-    """Higher than the ripple of the table explains."""
-    doubtful: list[SeenBody]
-    """Lower ones."""
+    sure: list[SeenBody]  # higher than the ripple of the table explains
+    doubtful: list[SeenBody]  # lower ones
 
 
 def seen_bodies(table: Table) -> SeenBodies:

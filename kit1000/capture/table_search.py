@@ -48,10 +48,8 @@ class Table:
     """The table's plane as an image shows it."""
 
     image: PinholeImage
-    coefficients: np.ndarray
-    """(3,) [1/m]: their product with the ray of a pixel, of depth 1, is its inverse depth."""
-    spread: float
-    """[1/m] robust standard deviation of the inverse depths of its pixels: noise and bending."""
+    coefficients: np.ndarray  # (3,) [1/m]: their product with the ray of a pixel, of depth 1, is its inverse depth
+    spread: float  # [1/m] robust standard deviation of the inverse depths of its pixels: noise and bending
 
     @property
     def distance(self) -> float:

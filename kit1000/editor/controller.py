@@ -8,12 +8,12 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Mapping
 from functools import partial, wraps
-from typing import Any, Protocol, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 
 from kit1000.editor import texts
-from kit1000.editor.display import Display, Stage
+from kit1000.editor.display import Display
 from kit1000.editor.dragging import KEY_MOTIONS, NAMES, Drag, Held, KeyMotion, Modifier
 from kit1000.editor.hand import BareHandWorkspace, HandWorkspace
 from kit1000.editor.keys import Interface, verbs_of
@@ -24,26 +24,17 @@ from kit1000.editor.proposals import takes_by_letting_go
 from kit1000.editor.records import EventLog, write_predictions_of
 from kit1000.editor.scene import EditedScene, answered_queries
 from kit1000.editor.session import PartEdit, same_motion
-from kit1000.editor.worker import Completion, Result
+from kit1000.editor.worker import Completion, Result, Worker
 from kit1000.editor.workspace import Step, Workspace
 from kit1000.pose import Pose
+
+if TYPE_CHECKING:
+    from kit1000.editor.page import ViserStage
 
 INTERFACES: Mapping[Interface, type[Workspace]] = {
     each.interface: each for each in (Workspace, HandWorkspace, BareHandWorkspace)
 }
 Method = TypeVar("Method", bound=Callable[..., Any])
-
-
-class Asker(Protocol):
-    """Who answers guesses: the worker."""
-
-    def ask(self, part: int, guess: Pose) -> None:
-        """Ask for the answer to a guess."""
-        ...
-
-    def prefer(self, part: int) -> None:
-        """The part in the hand."""
-        ...
 
 
 def exclusive(method: Method) -> Method:
@@ -63,11 +54,11 @@ class Controller:
     """The editor of one scene."""
 
     def __init__(
-        self, scene: EditedScene, stage: Stage, log: EventLog, asker: Asker | None, moves: bool = False
+        self, scene: EditedScene, stage: ViserStage, log: EventLog, asker: Worker | None, moves: bool = False
     ) -> None:
         """Show the scene as the log has it, by the log's interface.
 
-        asker: who answers guesses; None: nothing snaps. moves: whether moves.json is written beside the predictions.
+        asker: answers guesses; None: nothing snaps. moves: whether moves.json is written beside the predictions.
         """
         self.lock = threading.RLock()
         self.stage, self.log, self.asker = stage, log, asker

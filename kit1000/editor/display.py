@@ -1,14 +1,10 @@
-"""Shows a workspace on a stage, which is what the editor asks of a page: parts or points, cups, ghost, labels, panel.
-
-`page` implements the stage with viser, tests with dictionaries.
-"""
+"""Shows a workspace on a page: parts or points, cups, ghost, labels, panel."""
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from kit1000.editor import texts
 from kit1000.editor.hand import NAMES, PICK, PLACE, HandWorkspace, cup_mesh
@@ -19,6 +15,9 @@ from kit1000.numerics.trigonometry import tangent
 from kit1000.pictures.shading import framing_camera, part_colour
 from kit1000.pose import Pose
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL
+
+if TYPE_CHECKING:
+    from kit1000.editor.page import ViserStage
 
 KITS, OTHERS = "/kits", "/others"
 OVER_PART = np.array([0.0, 0.0, 0.035])  # [m] of its label, as seen from aside
@@ -32,54 +31,10 @@ SLOT_VIEW = 0.3  # [m] from a plate
 CUP_COLOURS: dict[int, Colour] = {PICK: (70, 175, 60), PLACE: (240, 200, 30)}
 
 
-class Stage(Protocol):
-    """A page with a scene and a panel."""
-
-    def show(self, name: str, mesh: Mesh, colour: Colour, opacity: float | None, /) -> None:
-        """Add a mesh [m] of the world, at rest; None: opaque."""
-        ...
-
-    def dots(self, name: str, points: np.ndarray, colours: np.ndarray, /) -> None:
-        """Add points (n, 3) [m] of the world, at rest, in colours (n, 3) uint8."""
-        ...
-
-    def move(self, name: str, motion: Pose, /) -> None:
-        """Move a mesh or points by a motion of the world from where they were added."""
-        ...
-
-    def look(self, name: str, /, colour: Colour | None = None, visible: bool | None = None) -> None:
-        """Change the colour of a mesh; hide or show a mesh or points."""
-        ...
-
-    def label(self, name: str, text: str, point: ArrayLike, /) -> None:
-        """Write at a point (3,) [m] of the world; an empty text removes the label."""
-        ...
-
-    def say(self, place: str, text: str, /) -> None:
-        """Write Markdown into a place of the panel: head, parts, fit or note."""
-        ...
-
-    def progress(self, share: float, /) -> None:
-        """How much of the background work is done, 0 to 1."""
-        ...
-
-    def gizmo(self, pose: Pose | None, /) -> None:
-        """Show the gizmo at a pose, or hide it."""
-        ...
-
-    def look_from(self, eye: ArrayLike, target: ArrayLike, /) -> None:
-        """Put the camera to a point (3,) [m], looking at another."""
-        ...
-
-    def flush(self) -> None:
-        """Send all this now."""
-        ...
-
-
 class Display:
     """What the page shows of a workspace."""
 
-    def __init__(self, stage: Stage, workspace: Workspace) -> None:
+    def __init__(self, stage: ViserStage, workspace: Workspace) -> None:
         self.stage, self.workspace = stage, workspace
         self._label_offset = OVER_PART
         scene = workspace.scene

@@ -35,17 +35,12 @@ class Drag:
 
     body: int
     before: PartEdit
-    cloud: np.ndarray
-    """(n, 3) [m] that bounds the body at its recorded pose."""
-    pivot: np.ndarray
-    """(3,) [m] of the body at its recorded pose."""
+    cloud: np.ndarray  # (n, 3) [m] that bounds the body at its recorded pose
+    pivot: np.ndarray  # (3,) [m] of the body at its recorded pose
     eye: Eye
-    start: tuple[float, float]
-    """On the screen."""
-    grabbed: np.ndarray
-    """(3,) [m] world: the point of the body under the pointer."""
-    plate: Plate
-    """On which it stood."""
+    start: tuple[float, float]  # on the screen
+    grabbed: np.ndarray  # (3,) [m] world: the point of the body under the pointer
+    plate: Plate  # on which it stood
     modifier: Modifier
 
     @property
@@ -93,24 +88,18 @@ class Drag:
 class Held:
     """The body in the hand when a key is pressed."""
 
-    motion: Pose
-    """goal_from_now"""
-    cloud: np.ndarray
-    """(n, 3) [m] that bounds the body at its recorded pose."""
-    pivot: np.ndarray
-    """(3,) [m] of the body at its recorded pose."""
-    plate: Plate
-    """On which it stands."""
+    motion: Pose  # goal_from_now
+    cloud: np.ndarray  # (n, 3) [m] that bounds the body at its recorded pose
+    pivot: np.ndarray  # (3,) [m] of the body at its recorded pose
+    plate: Plate  # on which it stands
     eye: Eye | None
 
 
 class KeyMotion(NamedTuple):
     """What a key does to the body in the hand."""
 
-    name: str
-    """Name in the history."""
-    turns: bool
-    """Whether it rotates the body."""
+    name: str  # name in the history
+    turns: bool  # whether it rotates the body
     motion: Callable[[Held], Pose]
 
 

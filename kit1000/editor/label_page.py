@@ -47,8 +47,7 @@ class _Drag(NamedTuple):
     name: str
     before: Pose
     eye: Eye
-    start: tuple[float, float]
-    """On the screen."""
+    start: tuple[float, float]  # on the screen
     turns: bool
     after: Pose
 

@@ -32,12 +32,9 @@ POSES = ("motion", "pick", "hover", "seated")
 class FramedMove:
     """A move in one frame."""
 
-    motion: Pose
-    """goal_from_now of the part: maps its points from their recorded place to their goal."""
-    pick: Pose
-    """frame_from_grip at the recorded pose of the part."""
-    axis: np.ndarray
-    """(3,) unit: the insertion axis, out of the cavity."""
+    motion: Pose  # goal_from_now of the part: maps its points from their recorded place to their goal
+    pick: Pose  # frame_from_grip at the recorded pose of the part
+    axis: np.ndarray  # (3,) unit: the insertion axis, out of the cavity
 
     def __post_init__(self) -> None:
         if not abs(length(checked("axis", self.axis, (3,))) - 1) < 1e-6:

@@ -1,4 +1,4 @@
-"""The page, by viser: the only module that knows it. See `display.Stage` for what it does and `controller` for why."""
+"""The page, by viser: the only module that knows it. See `display` for what it shows and `controller` for why."""
 
 from __future__ import annotations
 
@@ -43,13 +43,10 @@ WATCHES = "Another tab of this page is in charge. When that is closed, this one 
 class Panel:
     """What the panel beside the scene contains."""
 
-    help: str
-    """In Markdown."""
-    buttons: Mapping[str, Mapping[str, str]]
-    """Verbs by the text of their buttons, in named groups."""
+    help: str  # in Markdown
+    buttons: Mapping[str, Mapping[str, str]]  # verbs by the text of their buttons, in named groups
     keys: Sequence[Key] = ()
-    field: str = ""
-    """Name of a text field, if there is one."""
+    field: str = ""  # name of a text field, if there is one
 
     @classmethod
     def of_editor(cls, interface: Interface, snaps: bool) -> Panel:
@@ -58,7 +55,7 @@ class Panel:
 
 
 class ViserStage:
-    """The methods of `display.Stage`, and the events for an actor."""
+    """A page with a scene and a panel, and the events for an actor; tests have one of dictionaries."""
 
     def __init__(self, server: viser.ViserServer, panel: Panel, table: np.ndarray | None = None) -> None:
         """A page. table: (k, 2) [m] convex outline of the table; None: the simulated one."""
@@ -82,10 +79,10 @@ class ViserStage:
         self.server.on_client_connect(self._joined)
         self.server.on_client_disconnect(self._left)
 
-    # The verbs of a stage.
+    # What a scene and a panel show.
 
     def show(self, name: str, mesh: Mesh, colour: Colour, opacity: float | None) -> None:
-        """Add a mesh, or show another one under its name."""
+        """Add a mesh [m] of the world, at rest, or show another one under its name; opacity None: opaque."""
         self._nodes[name] = self.server.scene.add_mesh_simple(
             name,
             mesh.vertices.astype(np.float32),
@@ -100,7 +97,7 @@ class ViserStage:
         self._listen_to(name)
 
     def dots(self, name: str, points: np.ndarray, colours: np.ndarray) -> None:
-        """Add points."""
+        """Add points (n, 3) [m] of the world, at rest, in colours (n, 3) uint8."""
         self._nodes[name] = self.server.scene.add_point_cloud(
             name,
             points.astype(np.float32),
@@ -112,12 +109,12 @@ class ViserStage:
         )
 
     def move(self, name: str, motion: Pose) -> None:
-        """Move a mesh or points."""
+        """Move a mesh or points by a motion of the world from where they were added."""
         handle = self._nodes[name]
         handle.wxyz, handle.position = motion.wxyz, motion.xyz
 
     def look(self, name: str, colour: Colour | None = None, visible: bool | None = None) -> None:
-        """Change what a mesh looks like; hide or show it, or points."""
+        """Change the colour of a mesh; hide or show a mesh or points."""
         handle = self._nodes[name]
         if colour is not None and tuple(handle.color) != colour:
             handle.color = colour
@@ -125,7 +122,7 @@ class ViserStage:
             handle.visible = visible
 
     def label(self, name: str, text: str, point: ArrayLike) -> None:
-        """Write a label."""
+        """Write at a point (3,) [m] of the world; an empty text removes the label."""
         label = self._labels.get(name)
         if label is None:
             label = self.server.scene.add_label(f"/label{name}", text, anchor="bottom-center")
@@ -137,25 +134,25 @@ class ViserStage:
             label.visible = bool(text)
 
     def say(self, place: str, text: str) -> None:
-        """Write into the panel."""
+        """Write Markdown into a place of the panel: head, parts, fit or note."""
         handle = self._texts[place]
         if handle.content != text:
             handle.content = text
 
     def progress(self, share: float) -> None:
-        """Move the progress bar, which goes when all is done."""
+        """How much of the background work is done, 0 to 1; the bar goes when all is done."""
         self._progress.value = 100 * share
         self._progress.visible = share < 1
 
     def gizmo(self, pose: Pose | None) -> None:
-        """Show the gizmo, or hide it."""
+        """Show the gizmo at a pose, or hide it."""
         if pose is not None and not self._dragging_gizmo:
             self._gizmo.wxyz, self._gizmo.position = pose.wxyz, pose.xyz
         if self._gizmo.visible != (pose is not None):
             self._gizmo.visible = pose is not None
 
     def look_from(self, eye: ArrayLike, target: ArrayLike) -> None:
-        """Put the camera of every tab, and of those to come."""
+        """Put the camera of every tab, and of those to come, to a point (3,) [m], looking at another."""
         camera = self.server.initial_camera
         camera.position, camera.look_at = np.asarray(eye, float), np.asarray(target, float)
         for client in self.server.get_clients().values():

@@ -35,8 +35,7 @@ class Pick(NamedTuple):
     """Where a part may be taken."""
 
     world_from_grip: Pose
-    cup: float | None
-    """[m] radius of the largest suction cup that seals there; None if none does."""
+    cup: float | None  # [m] radius of the largest suction cup that seals there; None if none does
 
 
 def find_pick(image: LabelledDepth, part: int, sensor: str) -> Pick:

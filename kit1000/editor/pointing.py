@@ -27,10 +27,8 @@ class Eye(NamedTuple):
     """The browser's camera."""
 
     world_from_camera: Pose
-    fov: float
-    """[rad] from the top of the picture to its bottom."""
-    aspect: float
-    """Width over height."""
+    fov: float  # [rad] from the top of the picture to its bottom
+    aspect: float  # width over height
 
     def same_as(self, other: Eye) -> bool:
         """Whether both see the same picture, bit for bit."""
@@ -58,10 +56,8 @@ class Eye(NamedTuple):
 class Support(NamedTuple):
     """A place where a part may stand."""
 
-    point: np.ndarray
-    """(3,) [m] world, on the plate's plane."""
-    plate: Plate
-    """A plate of the kits, or the table."""
+    point: np.ndarray  # (3,) [m] world, on the plate's plane
+    plate: Plate  # A plate of the kits, or the table
 
 
 class Surface(Protocol):

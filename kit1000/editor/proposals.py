@@ -20,24 +20,18 @@ class Proposal:
     """A fit that a method proposes."""
 
     goal_from_now: Pose
-    confidence: float
-    """0 to 1: the share of such fits that are seated."""
+    confidence: float  # 0 to 1: the share of such fits that are seated
 
 
 @dataclass
 class PartProposals:
     """All that a method has proposed for a part."""
 
-    pivot: np.ndarray
-    """(3,) [m] of the part at its recorded pose."""
-    found: Sequence[Proposal] | None = None
-    """Without a guess; None until they are known."""
-    answers: Sequence[Proposal] = ()
-    """To the latest guess."""
-    guess: Pose | None = None
-    """That guess."""
-    failure: str = ""
-    """Why there are none."""
+    pivot: np.ndarray  # (3,) [m] of the part at its recorded pose
+    found: Sequence[Proposal] | None = None  # without a guess; None until they are known
+    answers: Sequence[Proposal] = ()  # to the latest guess
+    guess: Pose | None = None  # that guess
+    failure: str = ""  # why there are none
 
     def near(self, edit: PartEdit) -> list[Proposal]:
         """The fits within reach of the hand, the best first, no two alike.

@@ -45,13 +45,10 @@ class Header:
     dataset_id: str
     scene: str
     sensor: str
-    truth: bool
-    """Whether the page shows true shapes."""
-    snap: str
-    """The method that snaps."""
+    truth: bool  # whether the page shows true shapes
+    snap: str  # the method that snaps
     interface: Interface
-    shapes: bool = False
-    """Whether shapes of the scene are known, by the user or the dataset."""
+    shapes: bool = False  # whether shapes of the scene are known, by the user or the dataset
 
     def key(self) -> tuple[str, str]:
         """Events with the same belong to one session."""

@@ -26,10 +26,8 @@ MEDIAN = 5  # [px] of the filter that a noisy image needs
 class ColouredPoints(NamedTuple):
     """Points as a viewer draws them."""
 
-    points: np.ndarray
-    """(n, 3) [m] world."""
-    colours: np.ndarray
-    """(n, 3) uint8"""
+    points: np.ndarray  # (n, 3) [m] world
+    colours: np.ndarray  # (n, 3) uint8
 
 
 @dataclass(frozen=True, eq=False)

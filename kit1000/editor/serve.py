@@ -51,18 +51,14 @@ class Options:
 
     data: Path
     scene: str
-    out: Path
-    """Submission folder, which gets the confirmed parts and the log of events."""
+    out: Path  # submission folder, which gets the confirmed parts and the log of events
     sensor: str = "ideal"
-    snap: str = NO_SNAP
-    """`module:Object`, or none."""
+    snap: str = NO_SNAP  # `module:Object`, or none
     port: int | None = None
     truth: bool = False
     interface: Interface = "scene"
-    base_from_camera: Path | None = None
-    """JSON file with the pose of the camera in the base of a robot, for moves.json."""
-    shapes: SceneShapes | None = None
-    """The shapes in the image, for a method that reads them."""
+    base_from_camera: Path | None = None  # JSON file with the pose of the camera in the base of a robot, for moves.json
+    shapes: SceneShapes | None = None  # the shapes in the image, for a method that reads them
 
     def __post_init__(self) -> None:
         if self.interface != "scene" and self.shapes is not None:

@@ -25,14 +25,10 @@ SURE, LIKELY = 0.8, 0.5
 class PartEdit:
     """What the hand has done to a part."""
 
-    goal_from_now: Pose
-    """The motion, in the world, from the recorded pose of the part to where the hand has put it."""
-    snapped: bool = False
-    """Whether it stands at a fit that was taken."""
-    confidence: float = 0.0
-    """0 to 1: of the fit that was taken; 0 for a part placed by hand alone."""
-    turned: bool = False
-    """Whether the hand has rotated it: only then does its rotation say anything about the goal."""
+    goal_from_now: Pose  # the motion, in the world, from the recorded pose of the part to where the hand has put it
+    snapped: bool = False  # whether it stands at a fit that was taken
+    confidence: float = 0.0  # 0 to 1: of the fit that was taken; 0 for a part placed by hand alone
+    turned: bool = False  # whether the hand has rotated it: only then does its rotation say anything about the goal
     confirmed: bool = False
 
     def __post_init__(self) -> None:
@@ -91,10 +87,8 @@ class Session:
     """The edits of a scene's parts, by index, and the operations that led to them."""
 
     edits: Mapping[int, PartEdit]
-    done: tuple[Operation, ...] = ()
-    """The history, the latest last."""
-    undone: tuple[Operation, ...] = ()
-    """What can be redone, the next last."""
+    done: tuple[Operation, ...] = ()  # the history, the latest last
+    undone: tuple[Operation, ...] = ()  # what can be redone, the next last
 
     @classmethod
     def begin(cls, parts: tuple[int, ...]) -> Session:

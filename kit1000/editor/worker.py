@@ -71,8 +71,7 @@ class Job(NamedTuple):
     """A question to the method."""
 
     part: int
-    guess: Pose | None
-    """None: all fits, without one."""
+    guess: Pose | None  # None: all fits, without one
 
 
 class Result(NamedTuple):
@@ -80,17 +79,14 @@ class Result(NamedTuple):
 
     job: Job
     proposals: list[Proposal]
-    failure: str = ""
-    """Why there are none."""
+    failure: str = ""  # why there are none
 
 
 class Completion(NamedTuple):
     """The known shapes of the scene."""
 
-    shapes: FoundShapes | None
-    """Where they were found; None if the method knows none."""
-    failure: str = ""
-    """Why there are none although there should be some."""
+    shapes: FoundShapes | None  # where they were found; None if the method knows none
+    failure: str = ""  # why there are none although there should be some
 
 
 class Worker:
@@ -194,10 +190,8 @@ class Prepared:
     dataset: Dataset
     queries: dict[int, Query]
     predictor: Any
-    uses_truth: bool
-    """Whether the predictor gets the true geometry."""
-    shapes: SceneShapes | None = None
-    """The shapes of the scene, for a predictor that reads them."""
+    uses_truth: bool  # whether the predictor gets the true geometry
+    shapes: SceneShapes | None = None  # the shapes of the scene, for a predictor that reads them
 
 
 @lru_cache(maxsize=1)

@@ -35,8 +35,7 @@ class Workspace:
     """The state of an editor in which the hand moves the parts themselves; only the controller changes it."""
 
     interface: Interface = "scene"
-    assists = True
-    """Whether the page helps the hand: drags slide over surfaces, keys align, a number picks a part."""
+    assists = True  # whether the page helps the hand: drags slide over surfaces, keys align, a number picks a part
 
     def __init__(self, scene: EditedScene, snaps: bool) -> None:
         """Nothing has moved. snaps: whether a method proposes fits."""

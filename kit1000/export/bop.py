@@ -57,10 +57,8 @@ class PlacedObject(NamedTuple):
 class Silhouette:
     """The pixels of an object without occlusion, on a canvas three times the image, for objects cut by its border."""
 
-    distance: np.ndarray
-    """(H, W) [mm] distance along the ray within the image, 0 outside the object."""
-    all_pixels: np.ndarray
-    """(n, 2) int (u, v) of all its pixels, also outside the image."""
+    distance: np.ndarray  # (H, W) [mm] distance along the ray within the image, 0 outside the object
+    all_pixels: np.ndarray  # (n, 2) int (u, v) of all its pixels, also outside the image
 
 
 def write_bop(

@@ -64,8 +64,7 @@ class Fit:
 
     part: Shape
     kit: Shape
-    clearance: float
-    """[m] left between the pieces."""
+    clearance: float  # [m] left between the pieces
 
 
 class Shapes:

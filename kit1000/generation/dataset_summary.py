@@ -32,10 +32,8 @@ class JobRecords:
     parts: dict[str, Record]
     assemblies: dict[str, Record]
     shards: dict[str, Record]
-    refused: dict[str, str] = field(default_factory=dict)
-    """Reasons by name of the mesh files that are no parts."""
-    untried: int | None = None
-    """Number of mesh files that were not needed; None for procedural parts."""
+    refused: dict[str, str] = field(default_factory=dict)  # reasons by name of the mesh files that are no parts
+    untried: int | None = None  # number of mesh files that were not needed; None for procedural parts
 
     @property
     def files(self) -> dict[str, str]:

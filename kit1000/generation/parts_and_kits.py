@@ -36,8 +36,7 @@ class PartJob:
     seed: int
     part_id: str
     split: str
-    redraws: tuple[str, ...] = ()
-    """Reasons of the rejected attempts so far; their number is the next attempt."""
+    redraws: tuple[str, ...] = ()  # reasons of the rejected attempts so far; their number is the next attempt
 
     def __str__(self) -> str:
         return f"part {self.part_id}"

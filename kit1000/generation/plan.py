@@ -40,8 +40,7 @@ class PartDraw:
 
     family: str
     drawing: Family
-    longest: float
-    """[m] longest side of the part."""
+    longest: float  # [m] longest side of the part
 
 
 @dataclass(frozen=True)

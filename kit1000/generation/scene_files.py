@@ -36,8 +36,7 @@ class ShardJob:
     seed: int
     split: str
     number: int
-    assemblies: tuple[str, ...]
-    """Ids of the assemblies of its scenes, in order."""
+    assemblies: tuple[str, ...]  # ids of the assemblies of its scenes, in order
 
     @property
     def id(self) -> str:

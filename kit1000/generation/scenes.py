@@ -49,10 +49,8 @@ class GeneratedScene:
 
     observation: Observation
     truth: SceneTruth
-    extra_views: Observation | None
-    """Views of the camera set `three`; None if the split does not store them."""
-    redraws: tuple[str, ...]
-    """Reasons of the rejected layouts and views."""
+    extra_views: Observation | None  # views of the camera set `three`; None if the split does not store them
+    redraws: tuple[str, ...]  # reasons of the rejected layouts and views
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,8 +85,7 @@ class _LayoutView:
     scene: _SceneParts
     modes: tuple[str, ...]
     layout: Layout
-    world_from_kits: tuple[Pose, ...]
-    """Pose of the kit of each part."""
+    world_from_kits: tuple[Pose, ...]  # pose of the kit of each part
     world_from_camera: Pose
     frame: RenderedImage
     parts: tuple[PartVisibility, ...]

@@ -59,12 +59,9 @@ class FileJob:
 class TriedFiles:
     """The outcome of trying mesh files."""
 
-    accepted: dict[str, Record]
-    """Records of the files that can be parts, by name, in the drawn order."""
-    refused: dict[str, str]
-    """Reasons by name."""
-    untried: int
-    """Number of files that were not needed."""
+    accepted: dict[str, Record]  # records of the files that can be parts, by name, in the drawn order
+    refused: dict[str, str]  # reasons by name
+    untried: int  # number of files that were not needed
 
 
 def try_files(root: Path, preset: Preset, seed: int, sources: Sources, run: Run) -> TriedFiles:

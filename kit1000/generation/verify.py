@@ -40,14 +40,10 @@ SAME_BYTES = ("x86_64", "AMD64")  # processors that give the same content
 class VerifyReport:
     """The results of `verify`."""
 
-    files: int
-    """Number of files whose hash was checked."""
-    rebuilt: tuple[str, ...]
-    """Ids of the scenes that were generated again."""
-    faults: tuple[str, ...]
-    """One line for each fault; empty for an intact dataset."""
-    notes: tuple[str, ...] = ()
-    """What could not be checked, and why."""
+    files: int  # number of files whose hash was checked
+    rebuilt: tuple[str, ...]  # ids of the scenes that were generated again
+    faults: tuple[str, ...]  # one line for each fault; empty for an intact dataset
+    notes: tuple[str, ...] = ()  # what could not be checked, and why
 
 
 def verify(root: Path, sample: int = 0) -> VerifyReport:

@@ -40,20 +40,16 @@ CAVITY_VOLUME_TOLERANCE = 1e-9  # [m^3] rounding leaves films on the walls of a 
 class SidePlate:
     """Where a plate beside the base stands."""
 
-    direction: int
-    """0..3: on the base's +x, +y, -x or -y side."""
-    tilt: float
-    """[rad] against the base, outer edge down."""
+    direction: int  # 0..3: on the base's +x, +y, -x or -y side
+    tilt: float  # [rad] against the base, outer edge down
 
 
 @dataclass(frozen=True)
 class AssemblyPlan:
     """The placement of the plates of an assembly."""
 
-    base_tilt: float
-    """[rad] of the base in the world."""
-    base_azimuth: float
-    """[rad] from x towards y: the direction in which the base slopes down."""
+    base_tilt: float  # [rad] of the base in the world
+    base_azimuth: float  # [rad] from x towards y: the direction in which the base slopes down
     sides: tuple[SidePlate, ...]
 
 
@@ -175,8 +171,7 @@ class _SeatedPart:
 
     part: InsertedPart
     assembly_from_part: Pose
-    radius: float
-    """[m] of the ball about the part's origin that contains it."""
+    radius: float  # [m] of the ball about the part's origin that contains it
 
 
 def _seated(mount: Mount, part: Part) -> _SeatedPart:

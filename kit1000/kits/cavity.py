@@ -42,10 +42,8 @@ COVERED_AREA = 1e-10  # [m^2] smaller areas are rounding errors
 class Probe:
     """The cavity at one height."""
 
-    shadow: Shadow
-    """The area that the part sweeps at this height."""
-    removed_walls: CrossSection
-    """Sections of the thin walls that were removed here or below; empty if there were none."""
+    shadow: Shadow  # the area that the part sweeps at this height
+    removed_walls: CrossSection  # sections of the thin walls that were removed here or below; empty if there were none
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,12 +52,9 @@ class Cavity:
 
     depth: float
     solid: Manifold
-    probes: tuple[Probe, ...]
-    """The cavity at several heights, lowest first, the last just below the rim."""
-    removed_wall_count: int
-    """Number of thin walls, fins and posts that were removed, counted at the rim."""
-    grown: Manifold
-    """The grown sweep: the solid with its thin walls."""
+    probes: tuple[Probe, ...]  # the cavity at several heights, lowest first, the last just below the rim
+    removed_wall_count: int  # number of thin walls, fins and posts that were removed, counted at the rim
+    grown: Manifold  # the grown sweep: the solid with its thin walls
     part: PartShadows
 
     @cached_property

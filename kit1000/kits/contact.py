@@ -25,12 +25,9 @@ BARYCENTRIC_SLACK = 1e-12  # [m] so that a point on the edge between two faces b
 class ContactFeatures:
     """The features of a body that can be touched from one side along z."""
 
-    vertices: np.ndarray
-    """(n, 3) [m] ends of the edges."""
-    edges: np.ndarray
-    """(k, 2, 3) [m] convex edges."""
-    faces: np.ndarray
-    """(m, 3, 3) [m] triangles whose normals point to that side."""
+    vertices: np.ndarray  # (n, 3) [m] ends of the edges
+    edges: np.ndarray  # (k, 2, 3) [m] convex edges
+    faces: np.ndarray  # (m, 3, 3) [m] triangles whose normals point to that side
 
 
 def contact_features(body: Mesh, rotation: np.ndarray, translation: np.ndarray, side: float) -> ContactFeatures:

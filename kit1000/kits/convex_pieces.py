@@ -107,10 +107,8 @@ class _Layer:
 
     low: float
     high: float
-    shadow: CrossSection
-    """Projection along z of the cavity within the layer."""
-    lost_volume: float
-    """[m^3] of wall inside the shadow, which the pieces leave out."""
+    shadow: CrossSection  # projection along z of the cavity within the layer
+    lost_volume: float  # [m^3] of wall inside the shadow, which the pieces leave out
 
     @property
     def recession(self) -> float:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull
 
 from kit1000.kits.height_fields import polar_relief
@@ -38,14 +39,10 @@ DOWN = np.array([0.0, 0.0, -1.0])
 class RestingFace:
     """A face of the convex hull on which a part rests stably on a plane."""
 
-    normal: np.ndarray
-    """(3,) outward unit normal of the face, in the part frame: it points into the table."""
-    probability: float
-    """Share of random drops after which the part rests on it."""
-    height: float
-    """[m] of the part above the plane when it rests so."""
-    rolls: bool = False
-    """Whether it is a rolling surface: stable facets of which neighbours are close, but not all."""
+    normal: np.ndarray  # (3,) outward unit normal of the face, in the part frame: it points into the table
+    probability: float  # share of random drops after which the part rests on it
+    height: float  # [m] of the part above the plane when it rests so
+    rolls: bool = False  # whether it is a rolling surface: stable facets of which neighbours are close, but not all
 
     @cached_property
     def plane_from_part(self) -> Pose:
@@ -220,9 +217,5 @@ def _solid_angles(triangles: np.ndarray) -> np.ndarray:
 def _rolling_groups(normals: np.ndarray, facets: np.ndarray, angle: float) -> list[np.ndarray]:
     """Groups of some stable facets, as arrays of indices: neighbours in a group differ by less than an angle [rad]."""
     close = matmul(normals[facets], normals[facets].T) > cosine(angle)
-    labels = np.arange(len(facets))
-    while True:
-        merged = np.where(close, labels[None, :], len(facets)).min(1, initial=len(facets))
-        if np.array_equal(merged, labels):
-            return [facets[labels == label] for label in np.unique(labels)]
-        labels = merged
+    count, labels = connected_components(close, directed=False)
+    return [facets[labels == label] for label in range(count)]

@@ -46,8 +46,7 @@ class Design:
     symmetry: Symmetry
     kit_from_part: Pose
     shadows: PartShadows
-    known_faces: Sequence[RestingFace] | None = None
-    """All resting faces of the part, if the caller has them."""
+    known_faces: Sequence[RestingFace] | None = None  # all resting faces of the part, if the caller has them
 
     @cached_property
     def faces(self) -> Sequence[RestingFace]:

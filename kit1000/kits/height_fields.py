@@ -19,14 +19,10 @@ RELIEF_RINGS, RELIEF_ANGLES = 30, 120
 class HeightField:
     """A kit from above, on a grid."""
 
-    heights: np.ndarray
-    """Heights of the cells, (nx, ny) [m]; 0, the top of the plate, beside the kit."""
-    origin: np.ndarray
-    """Middle of the first cell, (2,) [m]."""
-    cell: float
-    """Side of a cell [m]."""
-    depth: float
-    """Depth of the cavity [m]."""
+    heights: np.ndarray  # heights of the cells, (nx, ny) [m]; 0, the top of the plate, beside the kit
+    origin: np.ndarray  # middle of the first cell, (2,) [m]
+    cell: float  # side of a cell [m]
+    depth: float  # depth of the cavity [m]
 
     @staticmethod
     def of(kit: Mesh, cell: float, depth: float) -> HeightField:

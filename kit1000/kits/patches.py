@@ -20,12 +20,9 @@ EXACT_AREA = 2e-11  # [m^2] by which the hull of a convex projection exceeds it,
 class Detail(NamedTuple):
     """How far a cavity may exceed the exact one, for the sake of fewer pieces: all errors are to the open side."""
 
-    horizontal: float
-    """[m] by which a corner of a convex patch may lie outside a face, measured horizontally."""
-    hull_area: float
-    """[m^2] by which the hull of a patch's projection may exceed the projection."""
-    sagitta: float | None = None
-    """[m] by which the border of a patch may lie inside its hull, instead of `hull_area`."""
+    horizontal: float  # [m] by which a corner of a convex patch may lie outside a face, measured horizontally
+    hull_area: float  # [m^2] by which the hull of a patch's projection may exceed the projection
+    sagitta: float | None = None  # [m] by which the border of a patch may lie inside its hull, instead of `hull_area`
 
 
 EXACT = Detail(0.0, EXACT_AREA)
@@ -36,14 +33,10 @@ MERGED_FILE = Detail(0.07e-3, 0.0, sagitta=0.06e-3)  # for parts of files, whose
 class Underside(NamedTuple):
     """Downward-facing triangles with their corners shared, and the patches that they merge into."""
 
-    corners: np.ndarray
-    """(n, 3) [m]"""
-    faces: np.ndarray
-    """(m, 3) corners of each triangle."""
-    neighbours: np.ndarray
-    """(m, 3) triangle across each edge, -1 at the border."""
-    groups: list[np.ndarray]
-    """Triangles of each patch."""
+    corners: np.ndarray  # (n, 3) [m]
+    faces: np.ndarray  # (m, 3) corners of each triangle
+    neighbours: np.ndarray  # (m, 3) triangle across each edge, -1 at the border
+    groups: list[np.ndarray]  # triangles of each patch
 
     @property
     def patches(self) -> list[np.ndarray]:

@@ -26,12 +26,9 @@ UNDERSIDE_CELL = 1.0e-3  # [m] between the points that represent the underside o
 class RestingPart(NamedTuple):
     """A part that rests on one of its faces, on the plane z = 0."""
 
-    rotation: np.ndarray
-    """(3, 3) plane from part."""
-    origin_height: float
-    """Height of the part's frame above the plane [m]."""
-    underside: np.ndarray
-    """Points of its underside, (n, 3) [m]."""
+    rotation: np.ndarray  # (3, 3) plane from part
+    origin_height: float  # height of the part's frame above the plane [m]
+    underside: np.ndarray  # points of its underside, (n, 3) [m]
 
     @staticmethod
     def on(mesh: Mesh, face: RestingFace) -> RestingPart:

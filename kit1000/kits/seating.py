@@ -50,8 +50,7 @@ class InsertedPart:
     """A part with its insertion axis."""
 
     mesh: Mesh
-    axis: np.ndarray
-    """(3,) unit, part frame: the direction out of the cavity."""
+    axis: np.ndarray  # (3,) unit, part frame: the direction out of the cavity
 
     @staticmethod
     def of(mesh: Mesh, kit_from_part: Pose) -> InsertedPart:
@@ -63,12 +62,9 @@ class InsertedPart:
 class SeatingResult:
     """Result of the seating test for one pose."""
 
-    contact_offset: float
-    """[m] from the predicted pose to contact along the carried axis; -inf when nothing is below."""
-    contact_height: float
-    """[m] of the part at contact above its goal, along the slot's axis."""
-    fits: bool
-    """Whether contact alone passes the test, at whatever rotation."""
+    contact_offset: float  # [m] from the predicted pose to contact along the carried axis; -inf when nothing is below
+    contact_height: float  # [m] of the part at contact above its goal, along the slot's axis
+    fits: bool  # whether contact alone passes the test, at whatever rotation
     seated: bool
     strict: bool
 

@@ -27,10 +27,8 @@ AREA_TOLERANCE = 1e-9  # [m^2] smaller areas are rounding errors
 class Shadow(NamedTuple):
     """The shadow below one height."""
 
-    z: float
-    """[m] above the floor."""
-    section: CrossSection
-    """S(z), what the part sweeps at this height."""
+    z: float  # [m] above the floor
+    section: CrossSection  # S(z), what the part sweeps at this height
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,12 +36,9 @@ class PartShadows:
     """A standing part with its shadows at several heights below the rim of its cavity."""
 
     standing: Manifold
-    depth: float
-    """[m] of the rim above the floor."""
-    underside: tuple[np.ndarray, np.ndarray]
-    """Its `downward_faces` below the rim."""
-    shadows: tuple[Shadow, ...]
-    """Lowest first, the last just below the rim."""
+    depth: float  # [m] of the rim above the floor
+    underside: tuple[np.ndarray, np.ndarray]  # its `downward_faces` below the rim
+    shadows: tuple[Shadow, ...]  # lowest first, the last just below the rim
 
     @staticmethod
     def of(standing: Manifold, depth: float) -> PartShadows:

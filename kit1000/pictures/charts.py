@@ -70,8 +70,7 @@ class Dot:
     value: float | None
     low: float | None
     high: float | None
-    note: str = ""
-    """Text at the end of the line, such as n = 40."""
+    note: str = ""  # text at the end of the line, such as n = 40
 
 
 @dataclass(frozen=True)

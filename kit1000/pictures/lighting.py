@@ -52,16 +52,11 @@ class Lamps(NamedTuple):
 class ShadingScene(NamedTuple):
     """The b bodies of a picture, with m faces in all, as the loop over pixels needs them."""
 
-    first_face: np.ndarray
-    """(b,) index of the first face of each body."""
-    corners: np.ndarray
-    """(m, 3, 3) [m], world."""
-    normals: np.ndarray
-    """(m, 3, 3) shading normals at the corners, world."""
-    face_normals: np.ndarray
-    """(m, 3) face normals, world."""
-    albedo: np.ndarray
-    """(b, 3) linear colour of each body."""
+    first_face: np.ndarray  # (b,) index of the first face of each body
+    corners: np.ndarray  # (m, 3, 3) [m], world
+    normals: np.ndarray  # (m, 3, 3) shading normals at the corners, world
+    face_normals: np.ndarray  # (m, 3) face normals, world
+    albedo: np.ndarray  # (b, 3) linear colour of each body
 
 
 def open_light(normals: np.ndarray, key: np.ndarray, up: np.ndarray) -> np.ndarray:

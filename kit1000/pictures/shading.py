@@ -56,8 +56,7 @@ class ColouredBody(NamedTuple):
     """A body of a picture, with its colour."""
 
     mesh: Mesh
-    pose: Pose
-    """world_from_body"""
+    pose: Pose  # world_from_body
     colour: Colour
 
 

@@ -29,10 +29,8 @@ MOVING, FIXED = 1, 2  # collision groups
 class Contact(NamedTuple):
     """The first collision of a path."""
 
-    sample: int
-    """Index of the joint position."""
-    what: str
-    """Name of the obstacle."""
+    sample: int  # index of the joint position
+    what: str  # name of the obstacle
 
 
 class Held(NamedTuple):
@@ -40,8 +38,7 @@ class Held(NamedTuple):
 
     name: str
     tool_from_part: Pose
-    spare: frozenset[str] = frozenset()
-    """Obstacles that it may touch; also TABLE."""
+    spare: frozenset[str] = frozenset()  # obstacles that it may touch; also TABLE
 
 
 class Cell:

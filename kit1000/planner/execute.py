@@ -68,14 +68,11 @@ class PartRun:
 class Event:
     """A piece of a trace: a leg of the arm, or a part that is taken or left."""
 
-    start: float
-    """[s]"""
+    start: float  # [s]
     part: int
     leg: Leg | None = None
-    kind: str = ""
-    """grasp or rest, if there is no leg"""
-    pose: Pose | None = None
-    """tool_from_part after a grasp, world_from_part at rest."""
+    kind: str = ""  # grasp or rest, if there is no leg
+    pose: Pose | None = None  # tool_from_part after a grasp, world_from_part at rest
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,10 +80,8 @@ class SceneRun:
     """What happened in a scene."""
 
     scene_id: str
-    parts: tuple[PartRun, ...]
-    """In the order of the scene's parts."""
-    order: tuple[int, ...]
-    """The parts that were picked, in this order."""
+    parts: tuple[PartRun, ...]  # in the order of the scene's parts
+    order: tuple[int, ...]  # the parts that were picked, in this order
     events: tuple[Event, ...]
     world_from_base: Pose
 

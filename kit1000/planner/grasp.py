@@ -39,14 +39,10 @@ APART = 4e-3  # [m] between them
 class Grasp:
     """A point where the cup seems to seal."""
 
-    point: np.ndarray
-    """(3,) [m] world, on the seen surface."""
-    cup: float
-    """[m] radius."""
-    margin: float
-    """[m] of flat surface beyond the cup."""
-    lever: float
-    """[m] level distance to the middle of what is seen."""
+    point: np.ndarray  # (3,) [m] world, on the seen surface
+    cup: float  # [m] radius
+    margin: float  # [m] of flat surface beyond the cup
+    lever: float  # [m] level distance to the middle of what is seen
 
     @property
     def score(self) -> float:

@@ -36,10 +36,8 @@ class Leg:
     """A piece of a trajectory, from rest to rest."""
 
     name: str
-    joints: np.ndarray
-    """(n, 6) [rad]"""
-    seconds: np.ndarray
-    """(n,) [s] since its start."""
+    joints: np.ndarray  # (n, 6) [rad]
+    seconds: np.ndarray  # (n,) [s] since its start
 
     @property
     def duration(self) -> float:

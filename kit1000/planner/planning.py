@@ -43,27 +43,20 @@ DOWN = Pose.from_rotvec((np.pi, 0.0, 0.0))  # the tool's z axis points down
 class Task:
     """A part to pick and to place."""
 
-    name: str
-    """Name of the part as an obstacle of the cell."""
-    touch: np.ndarray
-    """(3,) [m] world: where the cup touches it."""
+    name: str  # name of the part as an obstacle of the cell
+    touch: np.ndarray  # (3,) [m] world: where the cup touches it
     world_from_part: Pose
-    goal_from_now: Pose
-    """The motion of the part in the world."""
-    others: frozenset[str]
-    """Names of the other parts."""
+    goal_from_now: Pose  # the motion of the part in the world
+    others: frozenset[str]  # names of the other parts
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
     """A collision-free way to pick a part and to place it."""
 
-    reach: list[Leg]
-    """From the start to the pick."""
-    carry: list[Leg]
-    """From the pick to the hover pose, and straight in."""
-    leave: list[Leg]
-    """Back out to the hover pose."""
+    reach: list[Leg]  # from the start to the pick
+    carry: list[Leg]  # from the pick to the hover pose, and straight in
+    leave: list[Leg]  # back out to the hover pose
     tool_from_part: Pose
 
 
@@ -71,8 +64,7 @@ class Plan:
 class Refusal:
     """Why there is no plan."""
 
-    outcome: str
-    """UNREACHABLE or COLLISION"""
+    outcome: str  # UNREACHABLE or COLLISION
     detail: str
 
 
@@ -80,12 +72,9 @@ class Refusal:
 class _Lines:
     """The straight lines to the part, or to the slot, for all yaws of the hand."""
 
-    joints: list[np.ndarray]
-    """(8, n, 6) [rad] by yaw, as of `line_joints`."""
-    contact: Callable[[np.ndarray, Held], Contact | None]
-    """Tests the joints (n, 6) of one branch."""
-    found: dict[tuple[int, int], Contact | None] = field(default_factory=dict)
-    """What the tests gave, by yaw and branch."""
+    joints: list[np.ndarray]  # (8, n, 6) [rad] by yaw, as of `line_joints`
+    contact: Callable[[np.ndarray, Held], Contact | None]  # tests the joints (n, 6) of one branch
+    found: dict[tuple[int, int], Contact | None] = field(default_factory=dict)  # what the tests gave, by yaw and branch
 
     def blocked_by(self, yaw: int, branch: int, held: Held) -> str | None:
         """What blocks a line, or None; each line is tested once."""

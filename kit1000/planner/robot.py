@@ -31,13 +31,10 @@ ROUNDING = 1e-12  # by which rounding may take a cosine beyond 1
 class Capsule:
     """A piece of the arm: all points within a radius of a segment."""
 
-    link: int
-    """Frame that carries it: 0 the base, 6 the flange."""
-    start: tuple[float, float, float]
-    """[m] in that frame."""
+    link: int  # frame that carries it: 0 the base, 6 the flange
+    start: tuple[float, float, float]  # [m] in that frame
     end: tuple[float, float, float]
-    radius: float
-    """[m]"""
+    radius: float  # [m]
 
 
 # Radii and offsets along the joints' axes as in the public dimension drawings, rounded up.

@@ -65,8 +65,7 @@ class Workpiece:
 class Obstacle:
     """A fixed convex body."""
 
-    vertices: np.ndarray
-    """(n, 3) [m]"""
+    vertices: np.ndarray  # (n, 3) [m]
     world_from_body: Pose
 
 
@@ -74,28 +73,19 @@ class Obstacle:
 class InsertionTrial:
     """The poses of a part in one simulated insertion."""
 
-    release_pose: Pose
-    """world_from_part when the hand releases it."""
-    rest_pose: Pose
-    """world_from_part at the end."""
-    blocked: bool
-    """Whether the hand stopped before the end of its path."""
+    release_pose: Pose  # world_from_part when the hand releases it
+    rest_pose: Pose  # world_from_part at the end
+    blocked: bool  # whether the hand stopped before the end of its path
 
 
 @dataclass(frozen=True)
 class InsertionOutcome:
     """The outcome of an insertion, and the pose error to the goal at which the part is nearest to being seated."""
 
-    outcome: str
-    """One of OUTCOMES."""
-    height: float
-    """[m] of the part's frame above the goal, along the slot's axis."""
-    offset: float
-    """[m] across the slot's axis."""
-    angle: float
-    """[rad] to the goal's orientation."""
-    rotation_after_release: float
-    """[rad] between release and rest."""
+    outcome: str  # one of OUTCOMES
+    height: float  # [m] of the part's frame above the goal, along the slot's axis
+    offset: float  # [m] across the slot's axis
+    angle: float  # [rad] to the goal's orientation
 
 
 def assembly_obstacles(assembly: Assembly) -> list[Obstacle]:
@@ -182,7 +172,7 @@ def classify_outcome(kit: Kit, kit_from_release: Pose, kit_from_rest: Pose) -> I
     )
     errors = min((_errors(kit, kit_from_rest, goal) for goal in kit.slot.goals), key=lambda e: _excess(e, limits))
     outcome = "seated" if _excess(errors, limits) <= 1 else _failure_kind(kit, kit_from_rest, errors, limits, rotation)
-    return InsertionOutcome(outcome, *errors, rotation)
+    return InsertionOutcome(outcome, *errors)
 
 
 def _errors(kit: Kit, pose: Pose, goal: Pose) -> tuple[float, float, float]:

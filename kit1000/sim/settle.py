@@ -36,8 +36,7 @@ class Release:
     """A part and the pose from which it is released with zero velocity."""
 
     mesh: Mesh
-    mass: float
-    """[kg]"""
+    mass: float  # [kg]
     world_from_part: Pose
 
 
@@ -45,22 +44,17 @@ class Release:
 class RestPose:
     """The rest pose of a part."""
 
-    world_from_part: Pose
-    """A multiple of POSE_GRID; the lowest point is within half a step of z = 0."""
-    stable: bool
-    """Whether the part came to rest in time, on a stable facet."""
+    world_from_part: Pose  # A multiple of POSE_GRID; the lowest point is within half a step of z = 0
+    stable: bool  # whether the part came to rest in time, on a stable facet
 
 
 @dataclass(frozen=True, eq=False)
 class _Solid:
     """The convex hull and the inertia of a part."""
 
-    hull: ConvexHull
-    """About the centre of mass, along the part's axes."""
-    part_from_body: Pose
-    """The body frame: at the centre of mass, along the principal axes."""
-    moments: np.ndarray
-    """(3,) [kg m^2] about those axes."""
+    hull: ConvexHull  # about the centre of mass, along the part's axes
+    part_from_body: Pose  # the body frame: at the centre of mass, along the principal axes
+    moments: np.ndarray  # (3,) [kg m^2] about those axes
 
     @classmethod
     def of(cls, mesh: Mesh, mass: float) -> _Solid:

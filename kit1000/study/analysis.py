@@ -36,8 +36,7 @@ class Mean:
     n: int
     mean: float | None = None
     sd: float | None = None
-    low: float | None = None
-    """95 % BCa interval."""
+    low: float | None = None  # 95 % BCa interval
     high: float | None = None
 
 
@@ -67,20 +66,14 @@ class Analysis:
     snap: str
     planned: int
     n: int
-    balanced: bool
-    """Whether all planned participants have done all tasks."""
-    left_out: Mapping[int, str]
-    """Participants who have not done all tasks, with the reason."""
+    balanced: bool  # whether all planned participants have done all tasks
+    left_out: Mapping[int, str]  # participants who have not done all tasks, with the reason
     interruptions: int
-    out_of_time: Mapping[str, int]
-    """Trials by condition in which a part was not uploaded in time."""
-    parts: Mapping[str, Mapping[str, int]]
-    """Number of parts by condition and outcome."""
+    out_of_time: Mapping[str, int]  # trials by condition in which a part was not uploaded in time
+    parts: Mapping[str, Mapping[str, int]]  # number of parts by condition and outcome
     outcomes: Sequence[Row]
-    ratings: Sequence[Row]
-    """The six scales and their mean."""
-    preferred: Mapping[str, int]
-    """Answers to the last question by condition."""
+    ratings: Sequence[Row]  # the six scales and their mean
+    preferred: Mapping[str, int]  # answers to the last question by condition
     format: str = field(default="kit1000-study-analysis/2", init=False)
 
 

@@ -31,11 +31,9 @@ class Condition(NamedTuple):
     """One way to specify where parts go."""
 
     name: str
-    label: str
-    """Name for participants and readers of a report."""
+    label: str  # name for participants and readers of a report
     interface: Interface
-    snaps: bool
-    """Whether a method proposes fits."""
+    snaps: bool  # whether a method proposes fits
 
     @property
     def one_part_an_upload(self) -> bool:
@@ -59,10 +57,8 @@ DEFAULT = ("scene-snap", "hand")
 class Place(NamedTuple):
     """What a participant meets at one position."""
 
-    condition: int
-    """Index of the condition."""
-    task_set: int
-    """Index of the set of tasks."""
+    condition: int  # index of the condition
+    task_set: int  # index of the set of tasks
 
 
 def places(seed: int, participant: int) -> tuple[Place, Place]:
@@ -81,8 +77,7 @@ def places(seed: int, participant: int) -> tuple[Place, Place]:
 class Session(NamedTuple):
     """What one participant does in one condition."""
 
-    position: int
-    """1 or 2."""
+    position: int  # 1 or 2
     condition: Condition
     task_set: int
     tasks: tuple[Task, ...]
@@ -93,8 +88,7 @@ class StudyPlan(msgspec.Struct, frozen=True):
 
     dataset_id: str
     sensor: str
-    snap: str
-    """Method of the condition that snaps: of the catalog, or `module:Object`."""
+    snap: str  # method of the condition that snaps: of the catalog, or `module:Object`
     conditions: tuple[str, ...]
     people: int
     seed: int

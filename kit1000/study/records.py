@@ -36,8 +36,7 @@ Number = Annotated[float, Meta(ge=0, lt=1e9)]
 class Record(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What every record states; by itself the record that somebody has practised."""
 
-    study: str
-    """Id of the plan."""
+    study: str  # id of the plan
     participant: int
     format: Literal["kit1000-study-record/3"] = FORMAT
 
@@ -60,12 +59,9 @@ class PartResult(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The result of one part."""
 
     part: Count
-    outcome: str
-    """An outcome of the robot, or `not uploaded`."""
-    seated_by_test: bool
-    """Whether the uploaded motion passes the seating test of the benchmark."""
-    position_mm: Number | None
-    """Position error of the uploaded motion to the nearest goal; None if none was uploaded."""
+    outcome: str  # an outcome of the robot, or `not uploaded`
+    seated_by_test: bool  # whether the uploaded motion passes the seating test of the benchmark
+    position_mm: Number | None  # position error of the uploaded motion to the nearest goal; None if none was uploaded
     angle_deg: Number | None
 
 
@@ -73,26 +69,19 @@ class TrialRecord(Record, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """One task of one participant."""
 
     condition: str
-    position: int
-    """Position of the condition in the participant's order, 1 or 2."""
-    task: int
-    """From 1, within the condition."""
+    position: int  # position of the condition in the participant's order, 1 or 2
+    task: int  # from 1, within the condition
     scene: str
     kits: int
     task_set: int
     parts: tuple[PartResult, ...]
-    specification_s: Number
-    """[s] for which the participant was in charge."""
-    execution_s: Number
-    """[s] of the robot."""
+    specification_s: Number  # [s] for which the participant was in charge
+    execution_s: Number  # [s] of the robot
     uploads: Count = 0
     undos: Count = 0
-    refused: Count = 0
-    """Proposals that were passed over."""
-    interruptions: Count = 0
-    """Number of times that the sitting was interrupted within this task."""
-    out_of_time: bool = False
-    """Whether a part was not uploaded because the time was over."""
+    refused: Count = 0  # proposals that were passed over
+    interruptions: Count = 0  # number of times that the sitting was interrupted within this task
+    out_of_time: bool = False  # whether a part was not uploaded because the time was over
 
     @property
     def seated(self) -> int:
@@ -135,8 +124,7 @@ class Participant:
 
     number: int
     trials: tuple[TrialRecord, ...]
-    ratings: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
-    """Six ratings by condition."""
+    ratings: Mapping[str, Mapping[str, int]] = field(default_factory=dict)  # six ratings by condition
     preferred: str | None = None
 
 

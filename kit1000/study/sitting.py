@@ -70,12 +70,9 @@ class TaskClock:
     """
 
     kits: int
-    now: Callable[[], float]
-    """[s] of a clock that never goes back."""
-    specification: float = 0.0
-    """[s] until it was last stopped."""
-    execution: float = 0.0
-    """[s] of the robot."""
+    now: Callable[[], float]  # [s] of a clock that never goes back
+    specification: float = 0.0  # [s] until it was last stopped
+    execution: float = 0.0  # [s] of the robot
     _since: float | None = field(default=None, init=False)
 
     def start(self) -> None:
@@ -117,8 +114,7 @@ class Sitting:
 
     files: ParticipantFiles
     dataset: Dataset
-    port: int | None = None
-    """None for a free one."""
+    port: int | None = None  # None for a free one
 
     def run(self) -> None:
         """Serve the pages one after another, until the end or Ctrl-C."""
@@ -177,8 +173,7 @@ class TaskPage:
 
     sitting: Sitting
     session: Session
-    index: int
-    """From 1; 0 to practise."""
+    index: int  # from 1; 0 to practise
     requests: queue.Queue[str] = field(default_factory=queue.Queue)
     motions: dict[int, Pose] = field(default_factory=dict)
     outcomes: dict[int, str] = field(default_factory=dict)

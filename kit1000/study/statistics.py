@@ -28,18 +28,13 @@ class Comparison:
     n: int
     mean: float
     low: float
-    high: float
-    """95 % BCa interval of the mean."""
-    d_z: float | None
-    """Mean over standard deviation of the differences; None where all differ by the same."""
-    rank_biserial: float
-    """Matched pairs: favourable minus unfavourable rank sum, over their total; -1 to 1."""
+    high: float  # 95 % BCa interval of the mean
+    d_z: float | None  # mean over standard deviation of the differences; None where all differ by the same
+    rank_biserial: float  # matched pairs: favourable minus unfavourable rank sum, over their total; -1 to 1
     t_p: float
     wilcoxon_p: float
-    normality_p: float
-    """P value of the test of Shapiro and Wilk."""
-    test: str
-    """t, or Wilcoxon where the differences do not look normal."""
+    normality_p: float  # P value of the test of Shapiro and Wilk
+    test: str  # t, or Wilcoxon where the differences do not look normal
 
     @property
     def p(self) -> float:

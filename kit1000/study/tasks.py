@@ -30,16 +30,14 @@ class Task(msgspec.Struct, frozen=True):
     """A scene, all of whose parts go into their slots."""
 
     scene: str
-    kits: int
-    """Also the number of parts: p0, p1, ..."""
+    kits: int  # also the number of parts: p0, p1, ..
 
 
 class Tasks(msgspec.Struct, frozen=True):
     """All tasks of a study."""
 
     practice: Task
-    sets: tuple[tuple[Task, ...], ...]
-    """A participant meets each set once."""
+    sets: tuple[tuple[Task, ...], ...]  # A participant meets each set once
 
 
 SceneTest = Callable[[RecordedScene], bool]

@@ -103,12 +103,6 @@ def test_what_is_no_camera_is_refused_in_one_line(tmp_path: Path, content: str) 
     assert "\n" not in str(refusal.value)
 
 
-@pytest.mark.parametrize("words", [[], ["1", "2"], ["1", "2", "3", "x"], ["missing.json"]])
-def test_words_that_are_no_camera_are_refused(words: list[str]) -> None:
-    with pytest.raises(InputError, match="--intrinsics"):
-        read_intrinsics(words)
-
-
 def test_intrinsics_of_another_size_are_refused() -> None:
     known = Intrinsics(FX, FY, CX, CY, size=(640, 480))
     assert known.camera((480, 640), "x.png").width == 640
@@ -157,19 +151,6 @@ def test_distortion_is_read_under_any_usual_name(tmp_path: Path, name: str, suff
     assert (found.fx, found.cy) == (FX, CY)
     assert found.coefficients == pytest.approx(COEFFICIENTS)
     assert found.forward_model == "plumb_bob"
-
-
-@pytest.mark.parametrize("place", range(len(SINGLE)))
-def test_a_single_coefficient_counts(tmp_path: Path, place: int) -> None:
-    found = read_intrinsics([str(written(tmp_path, FIELDS | {SINGLE[place]: 0.05}))])
-    assert found.coefficients[place] == 0.05
-
-
-def test_distortion_that_cannot_be_undone_is_refused() -> None:
-    known = Intrinsics(FX, FY, CX, CY, model="inverse_brown_conrady", coefficients=(0.1, 0, 0, 0, 0))
-    assert known.distorted
-    with pytest.raises(InputError, match=r"inverse_brown_conrady.*rectify"):
-        known.forward_model
 
 
 @given(

@@ -18,7 +18,6 @@ from kit1000.cli import main
 from kit1000.dataset.mcap_io import ObservationFile
 from kit1000.dataset.own_scenes import PLACES, scenes_from_elsewhere, seen_table
 from kit1000.dataset.reader import Dataset
-from kit1000.editor.scene import EditedScene
 from kit1000.errors import InputError
 from kit1000.perception.sensor_facts import SensorFacts, sensor_of
 from kit1000.pose import Pose
@@ -137,13 +136,6 @@ def test_an_image_of_a_scanner_is_read_as_those_of_the_simulated_one(tmp_path: P
     assert isinstance(facts, SensorFacts)
     assert facts.scanner
     assert main(["info", str(tmp_path / "mine")]) == main(["verify", str(tmp_path / "mine")]) == 0
-
-
-def test_the_page_opens_the_scene(folder: Path) -> None:
-    scene = EditedScene.open(Dataset(folder), "test-s0000", "d415", False)
-    assert scene.parts == (0, 1)
-    assert len(scene.kits.faces)
-    assert scene.plates
 
 
 @pytest.mark.parametrize("words", [["info"], ["verify"], ["show", "--scene", "test-s0000", "--out", "{tmp}/a.png"]])

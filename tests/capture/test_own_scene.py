@@ -20,7 +20,7 @@ from kit1000.capture.scene_report import check_size, report
 from kit1000.capture.table_search import Table, find_table
 from kit1000.errors import InputError
 from kit1000.pose import Pose
-from kit1000.sim.sensors import SENSORS, on_depth_grid
+from kit1000.sim.sensors import SENSORS
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL
 from tests.samples.own_images import CAMERA, EYE, KIT, PARTS, exact_depth, millimetres, noisy_depth
 
@@ -67,12 +67,6 @@ def test_the_world_has_kits_and_parts_in_two_halves_and_the_table_at_zero(scene:
     assert scene.world.gap > 0.05
 
 
-def test_depths_are_kept_to_the_unit(scene: OwnScene) -> None:
-    stored = millimetres(noisy_depth(exact_depth(), 0.05)) * 1e-3
-    np.testing.assert_allclose(scene.image.view.depth, stored, atol=0.07e-3)
-    np.testing.assert_array_equal(on_depth_grid(scene.image.view.depth), scene.image.view.depth)
-
-
 def test_facts_come_from_the_name_of_the_camera(scene: OwnScene) -> None:
     assert scene.facts.baseline == 0.05
     assert scene.facts.unit == 1e-3
@@ -88,10 +82,6 @@ def test_a_scanner_is_known_by_its_name(device: str) -> None:
     assert found.facts.baseline == SENSORS["photoneo"].baseline
     assert (found.facts.fattening_px, found.facts.stream) == (0.0, "raw")
     assert any("structured-light" in line for line in report(found, None))
-
-
-def test_a_camera_of_another_name_is_no_scanner() -> None:
-    assert not scene_of(noisy_depth(exact_depth(), 0.05), wanted(device="D435")).facts.scanner
 
 
 def test_touching_parts_of_a_scanner_become_two() -> None:
@@ -266,36 +256,13 @@ def test_the_table_is_found_under_noise(noise_px: float) -> None:
     assert abs(table.ripple - noise_px * 0.85**2 / (CAMERA.fx * 0.055)) < 0.5e-3 + 0.3e-2 * noise_px
 
 
-def test_an_image_turned_upside_down_has_the_same_table() -> None:
-    depth = noisy_depth(exact_depth(), 0.05)
-    turned = Intrinsics(CAMERA.fx, CAMERA.fy, CAMERA.width - 1 - CAMERA.cx, CAMERA.height - 1 - CAMERA.cy)
-    here = find_table(image_of(depth), "x")
-    there = find_table(pinhole_image(depth[::-1, ::-1].copy(), turned, "x"), "x")
-    assert abs(here.distance - there.distance) < 0.5e-3
-    np.testing.assert_allclose(there.up, here.up * (-1, -1, 1), atol=2e-3)
-
-
 def test_a_face_of_a_body_is_not_the_table() -> None:
     large = ((0.25, 0.2, 0.09), (0.0, 0.02))
     table = find_table(image_of(noisy_depth(exact_depth((large,)), 0.05)), "x")
     assert errors(table, float(EYE.xyz[2]), EYE.inverse().rotate((0.0, 0.0, 1.0)))[0] < 1e-3
 
 
-def test_heights_are_those_of_the_bodies() -> None:
-    table = find_table(image_of(exact_depth()), "x")
-    (_, _, height), (x, y) = KIT
-    u, v = np.rint(CAMERA.project(EYE.inverse().apply((x, y, height)))).astype(int)
-    assert table.heights[v, u] == pytest.approx(height, abs=0.3e-3)
-    assert table.flat_heights[v, u] == pytest.approx(height, abs=0.5e-3)
-
-
 def test_a_wall_is_no_table() -> None:
     level = look_at((0.0, -0.5, 0.02), (0.0, 0.0, 0.0))  # the table is seen at 2 degrees
     with pytest.raises(InputError, match="table in view"):
         find_table(image_of(exact_depth((), level)), "x")
-
-
-def test_rough_ground_is_no_table() -> None:
-    rough = np.random.default_rng(0).uniform(0.4, 1.5, (480, 640)).astype(np.float32)
-    with pytest.raises(InputError, match=r"x: .*table in view"):
-        find_table(image_of(rough), "x")

@@ -62,13 +62,6 @@ def odd_file(tmp_path: Path) -> Path:
     return write_stl(tmp_path / "a.stl", l_shape()).rename(tmp_path / os.fsdecode(b"Geh\xe4use.stl"))
 
 
-def test_names_in_odd_encodings_are_printed_escaped(odd_file: Path) -> None:
-    line = "$KIT1000 kit Geh*use.stl --out k --no-preview"
-    done = run(line, odd_file.parent, PYTHONIOENCODING="ascii:strict")
-    assert (done.returncode, done.stderr) == (0, b"")
-    assert b"Geh\\udce4use.stl" in done.stdout
-
-
 @pytest.mark.parametrize("encoding", ["utf-8", "ascii", "latin-1"])
 def test_an_output_of_any_encoding_gets_odd_names_escaped(
     encoding: str, odd_file: Path, monkeypatch: pytest.MonkeyPatch

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -312,7 +312,7 @@ def test_known_shapes_replace_what_is_seen_and_doubts_are_marked(
 def test_sessions_with_and_without_shapes_are_not_mixed(scene: EditedScene, tmp_path: Path) -> None:
     header = replace(header_of(scene), shapes=True)
     log = EventLog(tmp_path, header)
-    table = Controller(scene, stage := FakeStage(), log, None)
+    table = Controller(scene, cast(Any, stage := FakeStage()), log, None)
     part = scene.parts[0]
     table.place(part, goal(scene, part))
     table.select(part)

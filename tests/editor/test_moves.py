@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from kit1000.capture.pose_files import stated_pose
 from kit1000.dataset.reader import Dataset
 from kit1000.editor.moves import FILE, FramedMove, Move, read_moves, write_moves
-from kit1000.editor.picks import find_pick, insertion_axis, level_frame
+from kit1000.editor.picks import find_pick, insertion_axis
 from kit1000.editor.scene import EditedScene
 from kit1000.errors import InputError
 from kit1000.kits.seating import HOVER
@@ -61,18 +61,6 @@ def test_each_frame_is_consistent_and_all_frames_agree(move: Move) -> None:
     assert np.abs(seen.rotate(move.camera.axis) - move.world.axis).max() < 1e-9
     if move.base is not None and move.base_from_camera is not None:
         assert apart(move.base.seated, move.base_from_camera @ move.camera.seated) < 1e-9
-
-
-@settings(max_examples=15)
-@given(move=moves(), moved=near)
-def test_moving_the_world_moves_nothing_in_the_frame_of_the_camera(move: Move, moved: Pose) -> None:
-    elsewhere = Move(
-        *KEY, 0, 1.0, True, None, move.world.seen_from(moved), moved @ move.world_from_camera, move.base_from_camera
-    )
-    for one, other in zip(frames(move)[1:], frames(elsewhere)[1:], strict=True):
-        assert apart(one.motion, other.motion) < 1e-9
-        assert apart(one.hover, other.hover) < 1e-9
-        assert np.abs(one.axis - other.axis).max() < 1e-9
 
 
 @settings(max_examples=10)
@@ -264,17 +252,6 @@ def test_moving_the_world_along_the_table_moves_no_pick_in_the_frame_of_the_came
     apart = (motion @ here.world_from_grip).inverse() @ there.world_from_grip
     assert float(np.abs(apart.matrix() - np.eye(4)).max()) < 1e-9
     assert here.cup == there.cup
-
-
-@given(motion=level_moves, seen=poses())
-def test_the_level_frame_is_level_below_the_camera(mini: Path, motion: Pose, seen: Pose) -> None:
-    image, _ = recorded(mini)
-    view = replace(image.view, world_from_camera=seen)
-    frame = level_frame(view)
-    assert np.abs(frame.rotate(UP) - UP).max() < 1e-12
-    assert frame.xyz[2] == 0
-    there = level_frame(replace(view, world_from_camera=motion @ seen))
-    assert np.abs(there.xyz - (motion @ frame).xyz).max() < 1e-9 * max(1.0, float(np.abs(seen.xyz).max()))
 
 
 def test_a_pick_is_on_the_part_with_z_into_it(mini: Path) -> None:

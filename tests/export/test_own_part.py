@@ -157,33 +157,11 @@ def test_an_interrupted_run_leaves_complete_files_and_no_report(
     assert file_hashes(folder) == whole
 
 
-@pytest.mark.parametrize(("unit", "size"), [("mm", 1e-3), ("inch", 0.0254), ("m", 1.0)])
-def test_units_are_converted(unit: str, size: float, out: Path, tmp_path: Path) -> None:
-    mesh = l_shape().scaled(1e-3 / size)  # stl_bytes takes metres and writes thousands of them
-    made = make_kit_from_file(write_stl(tmp_path / "corner.stl", mesh), tmp_path / "out", KitOptions(unit=unit))
-    assert sorted(made["size_mm"]) == pytest.approx([24, 30, 40], abs=1e-3)
-    assert made["unit"] == unit
-
-
 def test_a_part_may_be_scaled_to_fit(tmp_path: Path) -> None:
     made = make_kit_from_file(write_stl(tmp_path / "corner.stl", l_shape()), tmp_path / "out", KitOptions(longest=0.06))
     assert sorted(made["size_mm"]) == pytest.approx([36, 45, 60], abs=1e-3)
     assert made["scale"] == pytest.approx(1.5)
     assert sorted(read(tmp_path / "out/part.stl").extents) == pytest.approx([36, 45, 60], abs=1e-3)
-
-
-def test_inverted_normals_are_repaired_and_reported(out: Path, tmp_path: Path) -> None:
-    inside_out = Mesh(l_shape().vertices, l_shape().faces[:, ::-1])
-    made = make_kit_from_file(write_stl(tmp_path / "corner.stl", inside_out), tmp_path / "out")
-    assert made["repairs"]
-    assert read(tmp_path / "out/part.stl").volume == pytest.approx(read(out / "part.stl").volume, rel=1e-6)
-
-
-def test_a_refusal_names_the_file_and_the_reason(tmp_path: Path) -> None:
-    flat = write_stl(tmp_path / "flat.stl", Mesh(l_shape().vertices * (1, 1, 1e-4), l_shape().faces))
-    with pytest.raises(InputError, match=r"^.*flat\.stl: zero thickness"):
-        make_kit_from_file(flat, tmp_path / "out")
-    assert not (tmp_path / "out").exists()
 
 
 THIN = {"blade": (2.3, 181, 21), "needle": (1, 1, 80), "foil": (0.3, 60, 60), "wire": (0.3, 400, 0.3)}  # [mm]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -102,16 +101,6 @@ def test_walls_keep_the_clearance_of_any_solid(seed: int, joined: bool) -> None:
         assert_keeps_clearance(standing(drawn), cavity, 2.5e-3, z, loose=2 * LONG if joined else LONG)
 
 
-@pytest.mark.parametrize("clearance_mm", [0.5, 2.5, 10.0])
-def test_cavity_of_a_box_is_a_rounded_rectangle(clearance_mm: float, cut: Cut) -> None:
-    _, cavity = cut("box", clearance_mm)
-    c = clearance_mm * 1e-3
-    area = 30e-3 * 20e-3 + 2 * c * (30e-3 + 20e-3) + np.pi * c**2
-    assert cavity.solid.slice(6e-3).area() == pytest.approx(area, abs=0.02e-3 * (100e-3 + 2 * np.pi * c))
-    assert cavity.undercut_volume == pytest.approx(0, abs=1e-12)
-    assert cavity.removed_wall_count == 0
-
-
 @pytest.mark.parametrize("name", ["cone", "leaning", "lying cylinder"])
 def test_slopes_stay_slopes(name: str, cut: Cut) -> None:
     _, cavity = cut(name)
@@ -183,14 +172,6 @@ def test_undercut_of_a_tee_is_the_volume_beside_its_stem(cut: Cut) -> None:
     assert cavity.undercut_volume == pytest.approx(20e-3 * 20e-3 * (cavity.depth - 4e-3), rel=0.01)
 
 
-@pytest.mark.parametrize("name", SHAPES)
-def test_the_cavity_only_widens_upwards(name: str, cut: Cut) -> None:
-    _, cavity = cut(name)
-    slices = [cavity.solid.slice(z) for z in np.linspace(1e-5, cavity.depth - 1e-5, 9)]
-    for below, above in pairwise(slices):
-        assert (below - above).area() < AREA_TOLERANCE
-
-
 @pytest.mark.parametrize("name", ["leaning", "lying cylinder", "cone"])
 def test_patches_sweep_what_their_triangles_sweep(name: str) -> None:
     assert_same_sweep(downward(name))
@@ -236,11 +217,6 @@ def downward(name: str) -> np.ndarray:
 
 def test_a_lying_cylinder_is_few_patches() -> None:
     assert len(merged_underside(downward("lying cylinder")).patches) <= 3
-
-
-def test_nearly_convex_patches_of_a_cone_join() -> None:
-    triangles = downward("cone")
-    assert len(merged_underside(triangles).patches) < 0.6 * len(merged_underside(triangles, EXACT).patches)
 
 
 def test_depth_is_sixty_percent_but_at_most_20_mm() -> None:

@@ -104,20 +104,6 @@ def test_a_cylinder_has_two_ends_and_one_side_to_roll_on() -> None:
     assert side[0].probability == pytest.approx(11 / np.hypot(10, 11), abs=2e-3)
 
 
-@pytest.mark.parametrize("name", SOLIDS)
-@pytest.mark.parametrize("seed", [1, 2])
-def test_rotated_axes_rotate_the_faces_and_change_nothing_else(name: str, seed: int) -> None:
-    body, rotation = mesh(name), Pose(random_quaternions(np.random.default_rng(seed), 1)[0], np.zeros(3))
-    rotated = resting_faces(body.moved(rotation), min_probability=0.01)
-    before = resting_faces(body, min_probability=0.01)
-    assert len(rotated) == len(before)
-    for face in before:
-        matches = [other for other in rotated if near(other, rotation.rotate(face.normal))]
-        assert len(matches) == 1
-        assert matches[0].probability == pytest.approx(face.probability, abs=1e-6)
-        assert matches[0].height == pytest.approx(face.height)
-
-
 @pytest.mark.parametrize(("sides", "height"), [(19, 1.0), *product([20, 24, 96], [0.2, 1.0, 30.0])])
 def test_every_prism_rests_somewhere(sides: int, height: float) -> None:
     """The facets of a prism of many sides are all unlikely, yet it rolls to rest on them."""

@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike
 from kit1000.camera import look_at
 from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.planner.collision import COLUMN, ROOM, SELF, TABLE, Cell, Held, segment_distance
-from kit1000.planner.grasp import CUPS, FLATNESS, Grasp, find_grasps, is_held, top_heights, touch
-from kit1000.planner.robot import HOME, capsule_ends, inverse, shape, tool_pose
+from kit1000.planner.grasp import CUPS, FLATNESS, Grasp, find_grasps, is_held, touch
+from kit1000.planner.robot import HOME, capsule_ends, inverse, shape
 from kit1000.pose import Pose
 from kit1000.sim.cameras import CAMERA
 from kit1000.sim.layout import table
@@ -137,16 +137,6 @@ def test_a_held_part_may_touch_the_table_only_where_that_is_spared() -> None:
         assert cell.contact(joints, held._replace(spare=frozenset({TABLE}))) is None
 
 
-def test_the_tool_s_tip_is_where_the_kinematics_say() -> None:
-    """A ball-sized block right under the lip is met, the same block 10 mm lower is not."""
-    joints = joints_above([0.05, -0.15, 0.2])
-    tip = (BASE @ tool_pose(joints)).xyz
-    for drop, met in ((0.0, True), (0.01, False)):
-        with Cell(BASE) as cell:
-            cell.add("block", [CUBE * 0.004], Pose.from_translation(tip - [0, 0, 0.002 + drop]))
-            assert (cell.contact(joints[None]) is not None) == met
-
-
 EYE = (0.35, -0.1, 0.55)
 
 
@@ -226,14 +216,6 @@ def test_a_cup_leaks_over_a_hole_beside_the_rim_and_on_a_step() -> None:
     step = mesh_from_solid((low + high).scale((1e-3, 1e-3, 1e-3)))
     assert touch(step, Pose.identity(), at(0.0)) is None
     assert touch(step, Pose.identity(), at(10e-3)) == pytest.approx(7e-3)
-
-
-def test_top_heights_are_those_of_rays_from_above() -> None:
-    solid = Manifold.sphere(20, 64).scale((1e-3, 1e-3, 1e-3))
-    spots = np.random.default_rng(1).uniform(-0.013, 0.013, (50, 2))
-    heights = top_heights(mesh_from_solid(solid), spots)
-    assert heights == pytest.approx(np.sqrt(0.02**2 - (spots**2).sum(1)), abs=1e-4)
-    assert top_heights(mesh_from_solid(solid), np.array([[0.03, 0.0]]))[0] == -np.inf
 
 
 def test_a_small_cup_carries_50_grams_and_not_100() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -118,7 +118,8 @@ def desk(
 ) -> Desk:
     stage, asker = FakeStage(), FakeAsker()
     log = EventLog(out, header_of(scene, interface=interface), sink=stage.events.append)
-    return Desk(Controller(scene, stage, log, asker if snaps else None, moves), stage, asker, log)
+    controller = Controller(scene, cast(Any, stage), log, cast(Any, asker) if snaps else None, moves)
+    return Desk(controller, stage, asker, log)
 
 
 def goal(scene: EditedScene, part: int) -> Pose:

@@ -145,14 +145,6 @@ def test_frames_lower_the_changing_part_alone() -> None:
     assert np.std(many) == pytest.approx(np.std(one), rel=0.05)
 
 
-def test_frames_keep_shadows_and_holes() -> None:
-    conditions = replace(CALM, noise_px=0.1, hole_share=0.3, ramp_px=4.0)
-    one, many = (
-        measured_view(D415, step_of(6.0), replace(conditions, frames=frames), stream(4)).depth for frames in (1, 30)
-    )
-    np.testing.assert_array_equal(one == 0, many == 0)
-
-
 @pytest.mark.parametrize("unit", [1e-3, 1e-4])
 def test_depths_of_one_frame_are_multiples_of_the_unit(unit: float) -> None:
     conditions = replace(CALM, noise_px=0.2, unit=unit)
@@ -268,16 +260,6 @@ def test_depths_lie_on_the_grid_and_within_range(name: str) -> None:
     assert returns.size
     assert returns.min() >= sensor.min_depth - DEPTH_GRID / 2
     assert returns.max() <= sensor.max_depth + DEPTH_GRID / 2
-
-
-@pytest.mark.parametrize("name", SENSORS)
-def test_pixels_without_a_surface_give_no_return(name: str) -> None:
-    view = scene(polar=1.2)
-    empty = view.depth == 0
-    assert empty.any()
-    assert not sense(name, view, stream(1)).depth[empty].any()
-    nothing = View(TINY, Pose.identity(), np.zeros((6, 8), np.float32))
-    assert not sense(name, nothing, stream(1)).depth.any()
 
 
 @pytest.mark.parametrize("name", SENSORS)

@@ -161,21 +161,6 @@ class Now:
         return self.seconds
 
 
-@pytest.mark.parametrize("kits", [1, 2, 3])
-@pytest.mark.parametrize("robot", [0.0, 40.0])
-def test_an_upload_may_start_until_the_last_millisecond(kits: int, robot: float) -> None:
-    now = Now()
-    clock = TaskClock(kits, now)
-    clock.start()
-    clock.executed(robot)
-    now.seconds += 60.0 * kits - robot - 0.001
-    assert clock.may_upload()
-    assert clock.left == pytest.approx(0.001)
-    now.seconds += 0.002
-    assert not clock.may_upload()
-    assert clock.left == 0
-
-
 def test_the_clock_stands_still_while_the_participant_is_not_in_charge() -> None:
     now = Now()
     clock = TaskClock(2, now)

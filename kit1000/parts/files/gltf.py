@@ -41,12 +41,9 @@ class Body:
     """A placed mesh of a GLB file."""
 
     name: str
-    vertices: np.ndarray
-    """(n, 3) float64 [m], y up."""
-    faces: np.ndarray
-    """(m, 3) int64"""
-    step: float
-    """Distance between two coordinates that the file can tell apart. [m]"""
+    vertices: np.ndarray  # (n, 3) float64 [m], y up
+    faces: np.ndarray  # (m, 3) int64
+    step: float  # distance between two coordinates that the file can tell apart. [m]
 
 
 def glb_bodies(data: bytes, max_faces: int) -> list[Body]:

@@ -76,20 +76,16 @@ class _Reference(NamedTuple):
     """A component of an object, or an item of the build."""
 
     object_id: str
-    transform: np.ndarray
-    """(4, 3): a row vector (x, y, z, 1) is multiplied from the left."""
+    transform: np.ndarray  # (4, 3): a row vector (x, y, z, 1) is multiplied from the left
 
 
 class _Object(NamedTuple):
     """A mesh, an assembly of components, or both."""
 
-    vertices: np.ndarray
-    """(n, 3)"""
-    faces: np.ndarray
-    """(m, 3) int64"""
+    vertices: np.ndarray  # (n, 3)
+    faces: np.ndarray  # (m, 3) int64
     components: list[_Reference]
-    fault: str | None
-    """Why it cannot be part of the build."""
+    fault: str | None  # why it cannot be part of the build
 
 
 class _Model:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import os
-import shutil
 import struct
 import tracemalloc
 from pathlib import Path
@@ -313,15 +312,6 @@ def test_a_case_is_the_part_that_was_meant_or_is_refused_by_name(name: str) -> N
         assert name in WHOLE
         assert outcome.mesh.extents * 1e3 == pytest.approx((42, 24, 14), abs=1e-3)
         assert outcome.mesh.volume * 1e9 == pytest.approx(9283, rel=1e-5)
-
-
-@pytest.mark.skipif(CASES is None, reason="the folder of cases is absent")
-def test_the_list_of_the_cases_names_files_that_exist(tmp_path: Path) -> None:
-    assert CASES is not None
-    for name in ("list-byte-order-mark.txt", "lower-case.stl", "upper-case.stl"):
-        shutil.copy(CASES / name, tmp_path)
-    found = mesh_files(tmp_path / "list-byte-order-mark.txt")
-    assert found == [tmp_path / "lower-case.stl", tmp_path / "upper-case.stl"]
 
 
 def test_real_parts_are_accepted_with_their_volumes(real_parts: Path) -> None:
