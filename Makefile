@@ -5,6 +5,7 @@
 PRESET  = kit1000
 DATA    = data/$(PRESET)
 WORKERS =
+PARTS   =
 PYTHON  =
 VENV    = .venv
 BIN     = $(VENV)/bin
@@ -25,6 +26,7 @@ CHANGED = { git diff --name-only --diff-filter=d HEAD; git ls-files --others --e
 LAYERS  = $(BIN)/lint-imports --no-cache --no-logo
 ROW     = $(BIN)/python -m baselines predict --data "$(DATA)" --tracks snap-d415 $(if $(WORKERS),--workers $(WORKERS))
 OUT     =
+TO      = $(if $(OUT),--out "$(OUT)/speed-$(1).json")
 MEASURED = $(if $(wildcard $(DATA)/dataset.json),"$(DATA)")
 MEASURE = --sensor d415 --components "$(ROWS)/components.json"
 
@@ -41,7 +43,7 @@ LOCK = $(BIN)/uv pip compile pyproject.toml --group pyproject.toml:build --unive
 
 .DEFAULT_GOAL = help
 .DELETE_ON_ERROR:
-.PHONY: help install browser dataset test test-slow check lint site wheel results table1 table2 portable mujoco pictures lock clean
+.PHONY: help install browser dataset test test-slow check lint site wheel results table1 table2 bench portable mutants mujoco pictures lock clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
@@ -102,8 +104,17 @@ wheel: $(DEV) ## build wheel and sdist under dist/, check them, and use the whee
 results: $(DEV) ## fill the tables of README and docs from results/ and submissions/
 	$(BIN)/python -m benchmark documents README.md $$(grep -rl "<!-- result:" docs --include=*.md)
 
+bench: $(DEV) ## each speed beside a reference of the same run, on DATA, else on tiny; OUT=results writes them too
+	$(if $(PARTS),$(BIN)/python bench/speed/kit_files.py "$(PARTS)" $(call TO,kit-files))
+	$(BIN)/python bench/speed/reading.py $(MEASURED) $(call TO,reading)
+	$(BIN)/python bench/speed/scoring.py $(MEASURED) $(call TO,scoring)
+	$(BIN)/python bench/speed/methods.py $(MEASURED) $(call TO,methods)
+
 portable: $(DEV) ## generate tiny and small as on another processor, and compare every byte
 	$(BIN)/python bench/outside/portable.py tiny small
+
+mutants: $(DEV) ## change sampled places of the scored modules in a copy: do the tests notice? About 15 minutes
+	$(BIN)/python bench/outside/mutants.py
 
 mujoco: $(ENGINE)/.installed ## insert parts of DATA, else of tiny, in MuJoCo; OUT=results writes what it measures
 	$(ENGINE)/bin/python bench/outside/mujoco_scenes.py $(MEASURED) $(if $(OUT),--out "$(OUT)/mujoco.json")

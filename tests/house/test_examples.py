@@ -89,6 +89,12 @@ def test_an_extension_passes_its_check(name: str, tiny: Path, capsys: pytest.Cap
     assert capsys.readouterr().out
 
 
+def test_an_environment_scores_the_true_motion(tiny: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("gymnasium")
+    run("gym_snap", "tiny", "--episodes", "1")
+    assert re.search(r"truth: reward 1, 0\.0 mm off", capsys.readouterr().out)
+
+
 def test_a_scene_settles_in_mujoco(tiny: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("mujoco")
     run("mujoco_scene", "tiny")
