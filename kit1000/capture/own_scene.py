@@ -66,10 +66,7 @@ class OwnScene:
 
 
 def own_scene(
-    frames: Sequence[DepthFrame],
-    intrinsics: Intrinsics | None,
-    options: ImportOptions,
-    pose: Path | None = None,
+    frames: Sequence[DepthFrame], intrinsics: Intrinsics | None, options: ImportOptions, pose: Path | None = None
 ) -> OwnScene:
     """The scene that frames of a camera at rest show.
 

@@ -123,12 +123,7 @@ DRAGS: Mapping[Interface, tuple[tuple[str, str], ...]] = {
         LOOK,
         ("**1 … 9**", "put the green cup on a part"),
     ),
-    "hand-bare": (
-        ("click a cup", "choose it"),
-        ("drag its arrows", "move it"),
-        ("drag its arcs", "turn it"),
-        LOOK,
-    ),
+    "hand-bare": (("click a cup", "choose it"), ("drag its arrows", "move it"), ("drag its arcs", "turn it"), LOOK),
 }
 
 DRAG_PART = "Drag a part onto its cavity, roughly."

@@ -30,11 +30,7 @@ FILE = "events.jsonl"
 METHOD = "edit"
 Sink = Callable[[dict[str, Any]], None]
 """Takes an event."""
-LABELS: Mapping[Interface, str] = {
-    "scene": "Scene editing",
-    "hand": "Hand control",
-    "hand-bare": "Hand control, bare",
-}
+LABELS: Mapping[Interface, str] = {"scene": "Scene editing", "hand": "Hand control", "hand-bare": "Hand control, bare"}
 MILLISECOND = 3  # decimals of a time
 
 

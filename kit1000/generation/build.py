@@ -19,23 +19,9 @@ import numpy as np
 from tqdm import tqdm
 
 from kit1000.errors import InputError
-from kit1000.files import (
-    check_writable,
-    clear_partial,
-    json_bytes,
-    locked,
-    read_json,
-    write_bytes,
-    write_json,
-)
+from kit1000.files import check_writable, clear_partial, json_bytes, locked, read_json, write_bytes, write_json
 from kit1000.generation.assemblies import AssemblyJob, make_assembly
-from kit1000.generation.dataset_summary import (
-    JobRecords,
-    description_files,
-    make_summary,
-    summary_bytes,
-    tables,
-)
+from kit1000.generation.dataset_summary import JobRecords, description_files, make_summary, summary_bytes, tables
 from kit1000.generation.parts_and_kits import BUILD_FOLDER, PartJob, Record, make_part_and_kit, read_intact
 from kit1000.generation.plan import Sources, candidate_order, make_plan, plan_head, split_ids
 from kit1000.generation.presets import Preset

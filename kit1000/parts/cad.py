@@ -395,10 +395,7 @@ def _lofted(layers: list[list[NDArray]], heights: list[float]) -> Manifold:
     next_corner = np.concatenate([np.roll(np.arange(a, b), -1) for a, b in pairwise(start)])
     here = np.arange(n)
     wall = np.concatenate(
-        [
-            np.stack([here, next_corner, next_corner + n], axis=1),
-            np.stack([here, next_corner + n, here + n], axis=1),
-        ]
+        [np.stack([here, next_corner, next_corner + n], axis=1), np.stack([here, next_corner + n, here + n], axis=1)]
     )
     walls = [wall + k * n for k in range(len(rings) - 1)]
     bottom = np.asarray(triangulate(layers[0]))[:, ::-1]

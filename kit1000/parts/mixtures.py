@@ -46,7 +46,7 @@ MIXTURES: dict[str, dict[str, float]] = {
         "tee": 1.0,
         "wedge": 2.5,
         "yoke": 0.6,
-    },
+    }
 }
 """Name of a mixture -> family name -> its weight relative to the others."""
 

@@ -9,15 +9,7 @@ import numpy as np
 
 from kit1000.dataset.png_files import QUICK_COMPRESSION, png_bytes
 from kit1000.kits.seating import HOVER
-from kit1000.pictures.shading import (
-    KIT,
-    PART,
-    ColouredBody,
-    contact_sheet,
-    framing_camera,
-    part_colour,
-    shaded_picture,
-)
+from kit1000.pictures.shading import KIT, PART, ColouredBody, contact_sheet, framing_camera, part_colour, shaded_picture
 from kit1000.pose import Pose
 from kit1000.values import Assembly, Kit, Part
 

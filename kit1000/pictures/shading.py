@@ -138,10 +138,7 @@ def framing_camera(
 
 
 def contact_sheet(
-    images: Sequence[np.ndarray | Image.Image],
-    labels: Sequence[str],
-    columns: int = 4,
-    background: Colour = PAPER,
+    images: Sequence[np.ndarray | Image.Image], labels: Sequence[str], columns: int = 4, background: Colour = PAPER
 ) -> Image.Image:
     """Arrange pictures in rows, a caption under each; cells have the size of the largest picture."""
     from PIL import Image, ImageDraw, ImageFont  # only here: one picture needs none of them

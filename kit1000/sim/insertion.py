@@ -189,11 +189,7 @@ def _excess(errors: tuple[float, float, float], limits: tuple[float, float, floa
 
 
 def _failure_kind(
-    kit: Kit,
-    pose: Pose,
-    errors: tuple[float, float, float],
-    limits: tuple[float, float, float],
-    rotation: float,
+    kit: Kit, pose: Pose, errors: tuple[float, float, float], limits: tuple[float, float, float], rotation: float
 ) -> str:
     """The outcome of a part that is not seated: the first that applies, the most severe first."""
     height, offset, _ = errors

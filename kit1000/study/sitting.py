@@ -200,14 +200,11 @@ class TaskPage:
             interface=condition.interface,
         )
         earlier = EventLog(options.out, options.header(dataset.id)).rows
-        with (
-            robot_at(scene, plan.sensor, plan.seed) as robot,
-            editing(options, self.seen) as (controller, _),
-        ):
+        with robot_at(scene, plan.sensor, plan.seed) as robot, editing(options, self.seen) as (controller, _):
             execute: Execute = lambda motions: robot.run(motions).parts  # noqa: E731
             self.resume(earlier, execute)
-            server: Any = controller.stage.server  # type: ignore[attr-defined]
-            panel = TaskPanel(server, self._title(), condition.one_part_an_upload, self.requests.put)
+            one = condition.one_part_an_upload
+            panel = TaskPanel(controller.stage.server, self._title(), one, self.requests.put)
             self._work(controller, execute, panel, len(truths))
         return self.record(measured(dataset, truths, self.motions, self.outcomes), earlier)
 

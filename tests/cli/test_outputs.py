@@ -27,10 +27,7 @@ def run(shell: str, folder: Path, **environment: str) -> subprocess.CompletedPro
 
 @pytest.mark.parametrize(
     ("redirected", "reason"),
-    [
-        ("> /dev/full", b"cannot write the results: No space left"),
-        (">&-", b"standard output is closed"),
-    ],
+    [("> /dev/full", b"cannot write the results: No space left"), (">&-", b"standard output is closed")],
 )
 @pytest.mark.parametrize("words", ["info MINI", "--help", "--version"])
 def test_a_full_or_closed_output_is_one_line(

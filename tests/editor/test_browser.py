@@ -18,7 +18,7 @@ from playwright.sync_api import Browser, Page, sync_playwright
 from kit1000.dataset.reader import Dataset
 from kit1000.editor.controller import Controller
 from kit1000.editor.hand import PLACE, HandWorkspace
-from kit1000.editor.page import ViserStage, eye_of
+from kit1000.editor.page import eye_of
 from kit1000.editor.pointing import Eye
 from kit1000.editor.scene import EditedScene
 from kit1000.editor.serve import Options, editing
@@ -117,9 +117,7 @@ def wait(condition: Callable[[], bool], page: Page) -> None:
 
 def eye(controller: Controller) -> Eye:
     """Of the tab in charge."""
-    stage = controller.stage
-    assert isinstance(stage, ViserStage)
-    clients = stage.server.get_clients()
+    clients = controller.stage.server.get_clients()
     return eye_of(clients[min(clients)])
 
 
@@ -133,9 +131,7 @@ def on_page(controller: Controller, page: Page, point: np.ndarray) -> tuple[floa
 
 def ready(controller: Controller, page: Page) -> None:
     """Until the page is connected, its camera known, and its notices closed: they swallow the pointer."""
-    stage = controller.stage
-    assert isinstance(stage, ViserStage)
-    wait(lambda: len(stage.server.get_clients()) > 0, page)
+    wait(lambda: len(controller.stage.server.get_clients()) > 0, page)
     page.evaluate("document.querySelectorAll('.mantine-Notification-closeButton').forEach(one => one.click())")
     bounds = controller.space.scene.bounds
     wait(lambda: 0.43 < max(np.abs(np.subtract(eye(controller).screen(p), 0.5)).max() for p in bounds) < 0.46, page)

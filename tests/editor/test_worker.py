@@ -21,16 +21,7 @@ from kit1000.editor import worker
 from kit1000.editor.hand import PLACE
 from kit1000.editor.scene import EditedScene
 from kit1000.editor.session import same_motion
-from kit1000.editor.worker import (
-    Completion,
-    Job,
-    Method,
-    Result,
-    Worker,
-    completion_of,
-    prepared,
-    proposals_of,
-)
+from kit1000.editor.worker import Completion, Job, Method, Result, Worker, completion_of, prepared, proposals_of
 from kit1000.errors import InputError
 from kit1000.known_shapes.predictor import FoundShape, FoundShapes
 from kit1000.mesh import Mesh

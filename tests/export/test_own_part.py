@@ -231,13 +231,6 @@ def test_bodies_apart_are_refused_with_the_way_out(tmp_path: Path) -> None:
     assert made["repairs"] == ["kept the largest of 2 bodies (66.1% of the volume)"]
 
 
-def test_voids_stay_with_their_body(tmp_path: Path) -> None:
-    hollow = CUBE - Manifold.cube((0.01, 0.01, 0.01)).translate((0.01, 0.01, 0.01))
-    path = stl_of(tmp_path / "two.stl", hollow, STUD.translate((0.05, 0, 0)))
-    made = make_kit_from_file(path, tmp_path / "out", KitOptions(unit="mm", bodies="largest"))
-    assert made["volume_mm3"] == pytest.approx(26000, rel=1e-5)
-
-
 @pytest.mark.parametrize(
     ("smallest", "refusal", "reason"),
     [

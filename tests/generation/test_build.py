@@ -268,13 +268,6 @@ def test_a_second_run_in_one_folder_is_refused(sources: Sources, tmp_path: Path)
         generate(MINI, tmp_path, workers=1, sources=sources)
 
 
-def test_a_run_killed_before_its_plan_starts_again(complete: Path, sources: Sources, tmp_path: Path) -> None:
-    (tmp_path / f".plan.json.1{files.PARTIAL}").write_text("{")
-    (tmp_path / ".lock").touch()
-    generate(MINI, tmp_path, workers=1, sources=sources)
-    assert file_hashes(tmp_path) == file_hashes(complete)
-
-
 def test_one_process_may_build_two_datasets_in_one_place(complete: Path, sources: Sources, tmp_path: Path) -> None:
     generate(MINI, tmp_path / "a", 1, workers=1, sources=sources)
     shutil.rmtree(tmp_path / "a")

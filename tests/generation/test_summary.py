@@ -90,15 +90,6 @@ def test_card_and_croissant_depend_on_the_summary_only(mini: Path, summary: dict
 
 
 EDGES = [edges for name, edges in vars(statistics).items() if isinstance(edges, tuple) and name.isupper()]
-TREES = st.recursive(
-    st.dictionaries(st.sampled_from("abc"), st.integers(0, 9), max_size=3),
-    lambda inner: st.dictionaries(st.sampled_from("xyz"), inner, max_size=3),
-    max_leaves=8,
-)
-
-
-def leaves(tree: object) -> list[int]:
-    return [leaf for value in tree.values() for leaf in leaves(value)] if isinstance(tree, dict) else [tree]  # type: ignore[list-item]
 
 
 def test_the_statistics_of_a_scene_match_a_count_by_hand() -> None:
@@ -123,15 +114,6 @@ def test_statistics_do_not_depend_on_the_distribution_of_scenes(offs: list[float
     assert add_up([scene_statistics(scenes[cut:]), scene_statistics(scenes[:cut])]) == whole
     assert add_up(scene_statistics([scene]) for scene in reversed(scenes)) == whole
     assert json.loads(json.dumps(whole)) == whole
-
-
-@given(st.lists(TREES, max_size=4).filter(lambda trees: len({*map(shape, trees)}) <= 1))
-def test_sums_contain_every_count(trees: list[dict]) -> None:
-    assert sum(leaves(add_up(trees))) == sum(sum(leaves(tree)) for tree in trees)
-
-
-def shape(tree: object) -> int:
-    return 1 + max(map(shape, tree.values()), default=0) if isinstance(tree, dict) else 0
 
 
 @given(st.sampled_from(EDGES), st.floats(0, 100))

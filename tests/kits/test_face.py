@@ -13,14 +13,7 @@ from manifold3d import Manifold
 from trimesh.poses import compute_stable_poses
 
 from kit1000.kits.cavity import insertion_depth
-from kit1000.kits.face import (
-    SAME_PROBABILITY,
-    RestingFace,
-    distinct_faces,
-    rank_faces,
-    resting_faces,
-    tips_over,
-)
+from kit1000.kits.face import SAME_PROBABILITY, RestingFace, distinct_faces, rank_faces, resting_faces, tips_over
 from kit1000.kits.kit import CLEARANCE
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose, random_quaternions

@@ -22,14 +22,7 @@ from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.pictures import dataset_sheets as sheets
 from kit1000.pictures.dataset_sheets import geometry_sheet, scene_sheet
 from kit1000.pictures.depth_images import depth_picture
-from kit1000.pictures.scene_preview import (
-    MARK,
-    NOTHING,
-    TABLE,
-    scene_picture,
-    with_goals,
-    with_previews,
-)
+from kit1000.pictures.scene_preview import MARK, NOTHING, TABLE, scene_picture, with_goals, with_previews
 from kit1000.pose import Pose
 from kit1000.sim.render import render
 from kit1000.values import FIRST_PART_LABEL, View
@@ -234,16 +227,6 @@ def test_a_scene_without_ground_truth_has_three_pictures(public: Path, whole_she
     assert rows_of(image) == 1
     for i in range(3):
         assert np.array_equal(tile(image, i), tile(whole_sheet, i))
-
-
-def grey_picture(_: object, camera: Camera, __: object) -> np.ndarray:
-    """Replaces `shaded_picture` where only the number of pictures matters."""
-    return np.full((camera.height, camera.width, 3), 90, np.uint8)
-
-
-def test_training_scenes_of_an_open_folder_have_ground_truth(public: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sheets, "shaded_picture", grey_picture)
-    assert rows_of(pixels(scene_sheet(Dataset(public), "train-s0000"))) == 2
 
 
 def test_the_pictures_are_cropped_to_the_masks(mini: Path, whole_sheet: np.ndarray) -> None:

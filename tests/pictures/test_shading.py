@@ -210,15 +210,6 @@ def test_holes_are_ink(seed: int, share: float) -> None:
         assert (picture[depth == 0] == INK).all()
 
 
-def test_near_is_brighter_and_warmer_than_far() -> None:
-    picture = depth_picture(view_of(steps(0.5, 0.7, 0.9, 1.1))).astype(float)
-    inside = picture[5:-5, 8::16]  # the middle of each wall, away from the steps
-    brightness, warmth = inside.sum(axis=-1), inside[..., 0] - inside[..., 2]
-    assert (np.diff(brightness, axis=1) < 0).all()
-    assert (warmth[:, 0] > 100).all()
-    assert (warmth[:, 2:] < -40).all()
-
-
 def test_the_ends_and_the_middle_of_the_scale_have_their_colours() -> None:
     hues = hue_of(depth_picture(view_of(steps(0.5, 1.0, 1.5, 0.5))).astype(float))[20, 8::16]
     for hue, colour in zip(hues, (NEAR_COLOUR, MIDDLE_COLOUR, FAR_COLOUR, NEAR_COLOUR), strict=True):

@@ -78,14 +78,6 @@ def test_each_part_is_upright_with_a_share_of_exactly_six_tenths(n: int) -> None
         assert upright.any(1).all()
 
 
-@given(offset=st.floats(0, 1, exclude_max=True), n=st.integers(2, 5))
-def test_two_parts_or_more_never_all_tumble(offset: float, n: int) -> None:
-    modes = systematic_rest_modes(offset, n)
-    assert len(modes) == n
-    assert UPRIGHT in modes
-    assert {*modes} <= {UPRIGHT, TUMBLED}
-
-
 @given(seed=st.integers(0, 2**32), n=st.integers(1, 5))
 @settings(max_examples=40)
 def test_drop_points_separate_parts_of_any_rotation(seed: int, n: int) -> None:

@@ -92,18 +92,6 @@ def test_a_world_ends_with_its_block_also_after_an_error() -> None:
         assert world.add_ground() == 0
 
 
-def test_an_error_reports_that_no_further_world_opens(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Full:
-        DIRECT = 2
-
-        def connect(self, _: int) -> int:
-            return -1
-
-    monkeypatch.setitem(sys.modules, "pybullet", Full())
-    with pytest.raises(InputError, match="opens no further world"), World():
-        pass
-
-
 def test_points_that_span_no_solid_are_rejected() -> None:
     with pytest.raises(ShapeError, match="span a solid"):
         hull_vertices(CUBE * (1, 1, 0))

@@ -12,12 +12,7 @@ from scipy import stats
 
 from kit1000.errors import InputError
 from kit1000.study import statistics
-from kit1000.study.statistics import (
-    bca_interval,
-    compare,
-    holm,
-    wilcoxon_test,
-)
+from kit1000.study.statistics import bca_interval, compare, holm, wilcoxon_test
 
 DIFFERENCES = st.lists(st.integers(-20, 20), min_size=3, max_size=7)
 

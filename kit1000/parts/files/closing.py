@@ -12,13 +12,7 @@ from scipy.spatial import KDTree
 from kit1000.errors import MeshRefused
 from kit1000.mesh import component_labels
 from kit1000.numerics.linear_algebra import length, matmul
-from kit1000.parts.files.topology import (
-    consistently_wound,
-    halfedges,
-    longest_side,
-    open_edges,
-    without_duplicates,
-)
+from kit1000.parts.files.topology import consistently_wound, halfedges, longest_side, open_edges, without_duplicates
 
 WELD_SHARES = (1e-7, 1e-6, 1e-5)  # of the longest side; CAD exports one corner with different last digits
 WELD_LIMIT = 1e-5  # [m] wider seams are not closed

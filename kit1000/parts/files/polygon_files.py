@@ -10,13 +10,7 @@ import numpy as np
 
 from kit1000.errors import MeshRefused, shown
 from kit1000.parts.files.file_text import BYTE_ORDER_MARK, check_foreign, check_narrow, numbers, plain_text
-from kit1000.parts.files.triangles import (
-    TriangleSoup,
-    check_indices,
-    decimal_step,
-    float32_step,
-    polygons_as_triangles,
-)
+from kit1000.parts.files.triangles import TriangleSoup, check_indices, decimal_step, float32_step, polygons_as_triangles
 
 OBJ_CURVES = (b"surf", b"bmat", b"cstype", b"curv")
 PLY_HEADER_END = re.compile(rb"[\r\n]end_header[ \t]*(\r\n|\n|\r)")

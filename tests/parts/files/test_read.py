@@ -94,11 +94,7 @@ def test_a_file_that_cannot_be_a_part_is_refused_with_one_line(name: str, tmp_pa
     assert str(tmp_path) not in reason
 
 
-@given(
-    st.integers(0, len(STL) - 1),
-    st.none() | st.integers(0, 255),
-    st.sampled_from([".stl", ".ply", ".obj", ".glb"]),
-)
+@given(st.integers(0, len(STL) - 1), st.none() | st.integers(0, 255), st.sampled_from([".stl", ".ply", ".obj", ".glb"]))
 @example(99, 127, ".stl")  # a signalling NaN
 @settings(max_examples=150)
 def test_a_damaged_or_cut_file_raises_no_other_exception(
