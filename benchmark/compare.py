@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.stats import binomtest
@@ -129,12 +128,8 @@ def compare(a: Scores, b: Scores, tracks: Sequence[str] = (), draws: int = DRAWS
         for track in _common_tracks(a, b, tracks)
     }
     same = {key: a.summary[key] for key in SAME}
-    names = {key: _name(each.summary) for key, each in (("a", a), ("b", b))}
-    return Comparison(**names, **same, draws=draws, seed=seed, tracks=compared)
-
-
-def _name(summary: dict[str, Any]) -> str:
-    return f"{summary['method']}, masks {summary['manifest']['masks']}"
+    first, second = (f"{each.summary['method']}, masks {each.summary['manifest']['masks']}" for each in (a, b))
+    return Comparison(first, second, **same, draws=draws, seed=seed, tracks=compared)
 
 
 def _common_tracks(a: Scores, b: Scores, chosen: Sequence[str]) -> list[str]:

@@ -77,13 +77,11 @@ def _table(words: Sequence[str], results: Path, entries: Sequence[Entry]) -> str
     if table == "table1":
         return as_markdown(table_of(entries)).rstrip("\n")
     scored = score_table(table, entries, others)
-    return f"{scored.markdown()}\n\n{setting_of(entries)}" if scored.rows else "No such method is scored yet."
-
-
-def setting_of(entries: Sequence[Entry]) -> str:
-    """The protocol and the dataset of scores."""
+    if not scored.rows:
+        return "No such method is scored yet."
     setting = entries[0].setting
-    return f"*Protocol {setting['protocol']}, dataset {setting['dataset_id']}, split {setting['split']}.*"
+    source = f"*Protocol {setting['protocol']}, dataset {setting['dataset_id']}, split {setting['split']}.*"
+    return f"{scored.markdown()}\n\n{source}"
 
 
 def caption(measurement: Measurement) -> str:

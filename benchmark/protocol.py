@@ -97,16 +97,12 @@ def protocol_of(row: Mapping[str, Any], name: str) -> Protocol:
         raise InputError(f"protocol {name}: fields missing or too many: {odd}")
     lists = {key: {bin_: tuple(edges) for bin_, edges in row[key].items()} for key in ("breakdown", "histograms")}
     protocol = Protocol(**{**row, **lists, "splits": tuple(row["splits"])})
-    _check_named(protocol, name)
     _check_metrics(protocol)
-    return protocol
-
-
-def _check_named(protocol: Protocol, name: str) -> None:
     if protocol.name != name:
         raise InputError(f"protocol {name}: its file calls it {protocol.name!r}")
     if protocol.status not in ("draft", "frozen"):
         raise InputError(f"protocol {name}: status {protocol.status!r}, expected draft or frozen")
+    return protocol
 
 
 def _check_metrics(protocol: Protocol) -> None:

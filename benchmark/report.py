@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -100,15 +100,11 @@ def score_text(summary: Mapping[str, Any], with_breakdown: bool = False) -> str:
     if summary["tracks"]:
         shown = quantities.shown_in("text")
         header = ["track", "n", "cover %", *(quantity.heading for quantity in shown)]
-        rows = [
-            [
-                _track_name(summary, name),
-                str(row["n"]),
-                f"{100 * row['coverage']:.1f}",
-                *(_cell(quantity, row) for quantity in shown),
-            ]
-            for name, row in summary["tracks"].items()
-        ]
+        rows = []
+        for name, row in summary["tracks"].items():
+            masks = masks_of(summary, name)
+            first = [f"{name}, masks {masks}" if masks else name, str(row["n"]), f"{100 * row['coverage']:.1f}"]
+            rows.append([*first, *(_cell(quantity, row) for quantity in shown)])
         note = "mean [95 % interval]; per cent with Wilson's interval; a missing prediction counts as no motion"
         lines += [Grid(header, rows).text(), "", note]
     if summary["curves"] is not None:
@@ -118,19 +114,13 @@ def score_text(summary: Mapping[str, Any], with_breakdown: bool = False) -> str:
     for track, groups in summary["breakdown"].items() if with_breakdown else ():
         shown = quantities.shown_in("breakdown")
         header = ["", "", "n", *(quantity.heading for quantity in shown)]
-        lines += ["", track, Grid(header, list(_group_rows(groups, shown)), words=2).text()]
+        rows = [
+            ["" if i else key, name, str(row["n"]), *(_cell(quantity, row) for quantity in shown)]
+            for key, named in groups.items()
+            for i, (name, row) in enumerate(named.items())
+        ]
+        lines += ["", track, Grid(header, rows, words=2).text()]
     return "\n".join(lines)
-
-
-def _track_name(summary: Mapping[str, Any], track: str) -> str:
-    masks = masks_of(summary, track)
-    return f"{track}, masks {masks}" if masks else track
-
-
-def _group_rows(groups: Mapping[str, Any], shown: Sequence[Quantity]) -> Iterator[list[str]]:
-    for key, named in groups.items():
-        for i, (name, row) in enumerate(named.items()):
-            yield ["" if i else key, name, str(row["n"]), *(_cell(quantity, row) for quantity in shown)]
 
 
 def _cell(quantity: Quantity, row: Mapping[str, Any]) -> str:

@@ -32,18 +32,14 @@ def summarise(rows: PerQuery, protocol: Protocol, rotation_only: bool) -> Row:
     """
     rows = _numbered(rows)
     tracks = {track: rows.of_track(track) for track in rows.tracks if track != CURVES}
+    curves = rows.of_track(CURVES)
+    left = (curves.quantities[each.key] for each in (quantities.POSITION, quantities.ROTATION))
     return {
         "tracks": {track: track_summary(own, protocol, rotation_only) for track, own in tracks.items()},
         "breakdown": {track: breakdown(own, protocol, rotation_only) for track, own in tracks.items()},
-        "curves": _curves(rows.of_track(CURVES)),
-        "curve_scenes": len(np.unique(rows.of_track(CURVES).scene_id)) or None,
+        "curves": curve_table(curves.query_id.tolist(), *left) if len(curves) else None,
+        "curve_scenes": len(np.unique(curves.scene_id)) or None,
     }
-
-
-def _curves(rows: PerQuery) -> Row | None:
-    """The robustness curves of the rows of their track; None without any."""
-    position_mm, rotation_deg = (rows.quantities[each.key] for each in (quantities.POSITION, quantities.ROTATION))
-    return curve_table(rows.query_id.tolist(), position_mm, rotation_deg) if len(rows) else None
 
 
 def _numbered(rows: PerQuery) -> PerQuery:

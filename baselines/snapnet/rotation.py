@@ -87,7 +87,7 @@ class _Clouds:
         chosen = self.part_centres[:, None].expand(-1, copies, -1).flatten(0, 1)  # (B C, S)
         moved = _gather(self.rotated.flatten(0, 1), chosen).unflatten(0, (len(self.part), copies))
         part, kit = _gather(self.part, self.part_centres), _gather(self.kit, self.kit_centres)
-        first = (_first_indices(cloud, count) for cloud, count in zip((part, kit), counts, strict=True))
+        first = (torch.arange(count, device=part.device).expand(len(part), -1) for count in counts)
         return _Clouds(part, moved, kit, *first)
 
 
@@ -283,8 +283,3 @@ def _padded(index: Tensor) -> Tensor:
 def _gather(points: Tensor, index: Tensor) -> Tensor:
     """Points (B, N, 3) at indices (B, S). (B, S, 3)."""
     return points.gather(1, index[..., None].expand(-1, -1, 3))
-
-
-def _first_indices(cloud: Tensor, count: int) -> Tensor:
-    """The first `count` indices, for each scene. (B, N, 3) -> (B, count) int64."""
-    return torch.arange(count, device=cloud.device).expand(len(cloud), -1)

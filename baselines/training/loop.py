@@ -221,14 +221,10 @@ def validate(run: _Run) -> Measures:
     for batch in validation_batches(run.task, keys, run.config.batch, _workers(run.config, device), device):
         for name, values in run.task.measure(batch).items():
             measured.setdefault(name, []).extend(values.double().tolist())
-    return {name: _summary(run, name, np.array(values)) for name, values in measured.items()}
-
-
-def _summary(run: _Run, name: str, values: np.ndarray) -> dict[str, float]:
-    """Mean and median of the values (n,) of a measure."""
-    if not np.isfinite(values).all():
-        raise InputError(f"step {run.progress.step}: {name} is not finite for {(~np.isfinite(values)).sum()} examples")
-    return {"mean": float(values.mean()), "median": float(np.median(values))}
+    for name, values in measured.items():
+        if wrong := int((~np.isfinite(values)).sum()):
+            raise InputError(f"step {run.progress.step}: {name} is not finite for {wrong} examples")
+    return {name: {"mean": float(np.mean(v)), "median": float(np.median(v))} for name, v in measured.items()}
 
 
 def _mean_loss(run: _Run) -> float:
@@ -272,8 +268,9 @@ def _opened(task: Task, config: TrainConfig, folder: Path, settings: dict[str, A
     """A run at its start, or at its last checkpoint."""
     if (folder / CONFIG).exists():
         _check_same(folder, read_json(folder / CONFIG), settings)
-    else:
-        _check_unused(folder)
+    for name in () if (folder / CONFIG).exists() else (LOG, f"{BEST}.json", f"{BEST}.safetensors", CHECKPOINT):
+        if (folder / name).exists():
+            raise InputError(f"{folder}: holds {name}, but no {CONFIG} of a run; it stays: choose another folder")
     run = _Run(task, config, folder, settings, Descent(task, config, device), _Progress())
     if (folder / CHECKPOINT).exists():
         state = read_checkpoint(folder / CHECKPOINT)
@@ -294,13 +291,6 @@ def _check_same(folder: Path, old: Mapping[str, Any], new: Mapping[str, Any]) ->
         if was.get(name) != now.get(name):
             difference = f"{name.partition('.')[2]} {was.get(name)!r}, now {now.get(name)!r}"
             raise InputError(f"{folder}: holds a run with {difference}; choose another folder, or delete this one")
-
-
-def _check_unused(folder: Path) -> None:
-    """Raise InputError if a new run would replace files of another origin."""
-    for name in (LOG, f"{BEST}.json", f"{BEST}.safetensors", CHECKPOINT):
-        if (folder / name).exists():
-            raise InputError(f"{folder}: holds {name}, but no {CONFIG} of a run; it stays: choose another folder")
 
 
 def _flat(value: Any, name: str = "") -> dict[str, Any]:

@@ -95,7 +95,10 @@ def main(options: Segmentation) -> None:
                 row = {"n": len(found), "seconds": spent, "median": spent["median"]}
                 seconds.add(sensor=sensor, networks=networks, **row)
                 if options.components is not None and networks == ways[-1]:
-                    _add_component(options.components, sensor, networks, found)
+                    method = "votes of pixels" if networks == "both" else "pieces of surfaces"
+                    values = {f"{method}: mean IoU of a scene": [float(each.iou.mean()) for each in found]}
+                    clusters = [each.assembly_id for each in found]
+                    add_components(options.components, f"segmentation, {sensor}", values, clusters)
         measurement.report(options.out)
 
 
@@ -132,12 +135,6 @@ def _add(table: Table, sensor: str, networks: Networks, found: Sequence[Masks]) 
         values = {"iou": iou, "median": iou["median"], "parts": parts, "kits": kits}
         counted = rate([row.counted for row in rows])
         table.add(sensor=sensor, networks=networks, group=group, n=len(rows), counted=counted, **values)
-
-
-def _add_component(path: Path, sensor: str, networks: Networks, found: Sequence[Masks]) -> None:
-    method = "votes of pixels" if networks == "both" else "pieces of surfaces"
-    values = {f"{method}: mean IoU of a scene": [float(each.iou.mean()) for each in found]}
-    add_components(path, f"segmentation, {sensor}", values, [each.assembly_id for each in found])
 
 
 if __name__ == "__main__":

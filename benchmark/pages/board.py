@@ -71,13 +71,9 @@ def read_board(submissions: Path) -> Board:
     entries = read_entries(submissions)
     if not entries:
         raise InputError(f"{submissions}: no scored submission (folders with manifest.toml and scores.json)")
-    return Board(entries, unscored(submissions), _read_real(submissions / REAL))
-
-
-def _read_real(folder: Path) -> tuple[Entry, ...]:
-    """The entries on real scenes; none until somebody sends some."""
-    entries = read_entries(folder) if folder.is_dir() else ()
-    return tuple(replace(entry, name=f"{REAL}-{entry.name}") for entry in entries)
+    folder = submissions / REAL  # missing until somebody sends some
+    real = (replace(entry, name=f"{REAL}-{entry.name}") for entry in (read_entries(folder) if folder.is_dir() else ()))
+    return Board(entries, unscored(submissions), tuple(real))
 
 
 @dataclass(frozen=True)

@@ -39,20 +39,12 @@ def _not_curve(row: Row) -> bool:
     return row["track"] != CURVES
 
 
-def _is_drawn(row: Row) -> bool:
-    return row["drawn"] and row["track"] != CURVES
-
-
-def _is_curve(row: Row) -> bool:
-    return row["track"] == CURVES
-
-
 SPLIT_QUERIES: dict[str, tuple[str, Callable[[Row], bool]]] = {
     "train": ("train", _not_curve),
     "val": ("val", _not_curve),
-    "test": ("test", _is_drawn),
+    "test": ("test", lambda row: row["drawn"] and _not_curve(row)),
     "test-all": ("test", _not_curve),
-    "curves": ("test", _is_curve),
+    "curves": ("test", lambda row: not _not_curve(row)),
 }
 """Folder of the shards of each split, and whether a query of that folder belongs to the split."""
 
@@ -337,7 +329,7 @@ class RecordedScene:
 
     def _truth_of(self, query_id: str, truth_row: Row) -> Truth:
         geometry = self._dataset.geometry
-        row = truth_row["queries"][query_id]
+        row, sensor = truth_row["queries"][query_id], self._query_rows[query_id]["sensor"]
         part = truth_row["parts"][row["part"]]
         world_from_part = self.scene.bodies[1 + row["part"]].world_from_body
         return Truth(
@@ -354,10 +346,5 @@ class RecordedScene:
             slot=geometry.slot(part["part_id"]),
             goal_drawn=pose_of(row["goal_drawn"]),
             crowded=truth_row["crowded"],
-            noise_px=_noise_of(self._query_rows[query_id]["sensor"], truth_row),
+            noise_px=truth_row.get("noise_px", {}).get(sensor, 0.0 if sensor == "ideal" else float("nan")),
         )
-
-
-def _noise_of(sensor: str, truth_row: Row) -> float:
-    """[px] of an image, as its scene's truth states it; real scenes state none."""
-    return truth_row.get("noise_px", {}).get(sensor, 0.0 if sensor == "ideal" else float("nan"))

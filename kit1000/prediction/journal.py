@@ -26,11 +26,13 @@ class Journal:
         check_writable(path.parent)
         path.parent.mkdir(parents=True, exist_ok=True)
         self._file = open(path, "a+", encoding="utf-8", newline="\n")  # noqa: SIM115 (closed on leaving)
-        try:
-            self._lock()
+        try:  # the lock ends with the process, also when it is killed
+            lock_file(self._file)
             self.done = self._read_back(json.loads(json.dumps(settings)))
-        except BaseException:
+        except BaseException as error:
             self._file.close()
+            if isinstance(error, BlockingIOError):
+                raise InputError(f"{self.path} is being written by another process: wait for it") from None
             raise
 
     def __enter__(self) -> Journal:
@@ -49,13 +51,6 @@ class Journal:
     def delete(self) -> None:
         """Delete the file, once its predictions are in a submission."""
         self.path.unlink()
-
-    def _lock(self) -> None:
-        """Lock the file until it is closed; the lock ends with the process, also when it is killed."""
-        try:
-            lock_file(self._file)
-        except BlockingIOError:
-            raise InputError(f"{self.path} is being written by another process: wait for it") from None
 
     def _read_back(self, settings: dict[str, Any]) -> dict[str, Prediction]:
         """The predictions in the file, by query id; a line that was not finished is cut off."""

@@ -253,8 +253,10 @@ def read_rows(text: str, file: str) -> Rows | Fault:
     """The rows of a predictions file; the fault of its header if that is not the right one."""
     lines = text.split("\n")
     head = next(i for i, line in enumerate(lines) if line.strip())
-    if not _is_header(lines[head]):
-        return _header_fault(lines, head, file)
+    if len(lines[head]) > LONGEST_LINE or tuple(_fields(lines[head].strip())) != HEADER:
+        repair = "write it above the rows, with commas between the columns and decimal points in the numbers"
+        actual = f"the first line is {quote(lines[head])}"
+        return Fault(file, head + 1, "header", actual, f"the header {','.join(HEADER)}", repair)
     broken, count = list[Fault](), 0
     row_lines, query_ids, numbers = list[int](), list[str](), array("d")
     for number, line in enumerate(lines[head + 1 :], head + 2):
@@ -287,17 +289,6 @@ def _fields(line: str) -> list[str]:
         return next(csv.reader([line], strict=True))
     except csv.Error:
         return []
-
-
-def _is_header(line: str) -> bool:
-    return len(line) <= LONGEST_LINE and tuple(_fields(line.strip())) == HEADER
-
-
-def _header_fault(lines: Sequence[str], head: int, file: str) -> Fault:
-    """The error of a file whose first line that is not empty is not the header."""
-    repair = "write it above the rows, with commas between the columns and decimal points in the numbers"
-    actual = f"the first line is {quote(lines[head])}"
-    return Fault(file, head + 1, "header", actual, f"the header {','.join(HEADER)}", repair)
 
 
 def _line_fault(line: str, number: int, is_last: bool, file: str) -> Fault:

@@ -30,9 +30,7 @@ FAR = Pose.from_translation([0.0, 0.0, 0.02])
 def robot(monkeypatch: pytest.MonkeyPatch) -> None:
     """In place of the robot: it seats what is moved truly, never finds a seal in the first scene, and else jams."""
 
-    def run_scene(
-        scene: RecordedScene, motions: Mapping[int, Pose], sensor: str, images: object
-    ) -> SceneRun:
+    def run_scene(scene: RecordedScene, motions: Mapping[int, Pose], sensor: str, images: object) -> SceneRun:
         true = {query.part: scene.truth_of(query.id).goal_drawn for query in scene.queries if query.track == "snap"}
         runs = []
         for part, motion in motions.items():

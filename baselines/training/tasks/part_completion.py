@@ -5,7 +5,7 @@ Part i of a seed is the same whoever makes it, so shards are only a cache: a run
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -108,15 +108,9 @@ class DrawnParts:
             raise IndexError(index)
         number, place = divmod(index, SHARD)
         if number not in self._shards:
-            self._shards[number] = self.shard(number)
+            made = Memory(self.folder, verbose=0).cache(drawn_shard)(self.seed, number)
+            self._shards[number] = made  # pyright: ignore[reportArgumentType]
         return self._shards[number][place]
-
-    def __iter__(self) -> Iterator[DrawnPart]:
-        return (self[index] for index in range(self.count))
-
-    def shard(self, number: int) -> list[DrawnPart]:
-        """The parts of a shard, kept in the folder once they are made."""
-        return Memory(self.folder, verbose=0).cache(drawn_shard)(self.seed, number)  # pyright: ignore[reportReturnType]
 
 
 def drawn_shard(seed: int, number: int) -> list[DrawnPart]:
