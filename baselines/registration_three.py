@@ -7,6 +7,7 @@ from above.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -14,7 +15,6 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from baselines.heights.scene_heights import CELL, KITS, LOWEST, RECENT, cell_below, part_labels, three_views
-from kit1000.dataset.reader import Dataset
 from kit1000.numerics.compiled import compiled
 from kit1000.perception.sensor_facts import sensor_of
 from kit1000.prediction.catalog import Method
@@ -40,31 +40,19 @@ class FourCameras(Registration):
     """Registration that reads further images beside the query's own."""
 
     @cached_property
-    def views(self) -> LabelledViews:
-        """The images of the three cameras."""
-        return LabelledViews(self.dataset)
+    def views(self) -> Callable[[str], list[View]]:
+        """Returns the images of the three cameras of a scene; raises InputError if it was recorded without them."""
+        return lru_cache(RECENT)(lambda scene_id: three_views(self.dataset.recorded_scene(scene_id, truth=False)))
+
+    def others(self, query: Query) -> tuple[LabelledDepth, ...]:
+        """The labelled images of the three cameras of the query's scene."""
+        labels = table_labels(query.image)
+        return tuple(labelled(view, labels) for view in self.views(query.scene_id))
 
     def scene(self, query: Query, geometry: TrueGeometry | None = None) -> PreparedImage:
         """The query's image, with those of the three cameras."""
         sensor = sensor_of(self.dataset.summary, query.sensor, query.scene_id)
-        return PreparedImage(query, sensor, others=self.views.of(query))
-
-
-class LabelledViews:
-    """The labelled images of the three cameras, of queries of a dataset."""
-
-    def __init__(self, dataset: Dataset) -> None:
-        """Nothing is read yet."""
-        self.dataset = dataset
-        self._views = lru_cache(RECENT)(self._read)
-
-    def of(self, query: Query) -> tuple[LabelledDepth, ...]:
-        """Views of the query's scene; raises InputError if it was recorded without the three cameras."""
-        labels = table_labels(query.image)
-        return tuple(labelled(view, labels) for view in self._views(query.scene_id))
-
-    def _read(self, scene_id: str) -> list[View]:
-        return three_views(self.dataset.recorded_scene(scene_id, truth=False))
+        return PreparedImage(query, sensor, others=self.others(query))
 
 
 def table_labels(image: LabelledDepth) -> np.ndarray:

@@ -24,6 +24,7 @@ from kit1000.generation.presets import preset
 Made = TypeVar("Made")
 Options = TypeVar("Options")
 Item = TypeVar("Item")
+DECIMALS = 3  # of the measures for Table II
 
 
 def run(main: Callable[[Options], None], options: type[Options], description: str | None) -> None:
@@ -61,7 +62,7 @@ def timed(work: Callable[[], Made], clock: Callable[[], float] = time.perf_count
 
 
 def add_components(
-    path: Path, component: str, measures: Mapping[str, Sequence[float]], clusters: Sequence[str], digits: int = 3
+    path: Path, component: str, measures: Mapping[str, Sequence[float]], clusters: Sequence[str]
 ) -> None:
     """Add the mean of each measure to the JSON file that `python -m benchmark table2 --components` reads.
 
@@ -70,7 +71,6 @@ def add_components(
         component: the stage, such as "segmentation, d415"; its method is part of each measure's label.
         measures: n values by "method: measure".
         clusters: n labels, such as the assembly of each value; values with equal labels are not independent.
-        digits: decimals of the numbers.
     """
     rows = read_components(path) if path.exists() else []
     for name, values in measures.items():
@@ -80,8 +80,8 @@ def add_components(
             "component": component,
             "label": label,
             "measure": measure,
-            "value": round(float(np.mean(values)), digits),
-            "interval": [round(float(end), digits) for end in np.quantile(draws, ENDS)],
+            "value": round(float(np.mean(values)), DECIMALS),
+            "interval": [round(float(end), DECIMALS) for end in np.quantile(draws, ENDS)],
             "n": len(values),
         }
         same = ("component", "label", "measure")

@@ -207,15 +207,10 @@ def _command(dataset: Dataset | None) -> str:
     kept: list[str] = []
     for word in words:
         kept.append("DATA" if here & {word, str(Path(word).resolve())} else word)
-    return " ".join(["python", *_without_out(kept)])
-
-
-def _without_out(words: list[str]) -> list[str]:
-    """Words without `--out FILE`, which does not change the measurement."""
-    if "--out" not in words:
-        return words
-    place = words.index("--out")
-    return words[:place] + words[place + 2 :]
+    if "--out" in kept:  # where it is written changes no measurement
+        place = kept.index("--out")
+        del kept[place : place + 2]
+    return " ".join(["python", *kept])
 
 
 def _plain(value: Any) -> Any:

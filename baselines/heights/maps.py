@@ -78,18 +78,3 @@ def _fill_envelopes(top, bottom, points, cell):
             z = np.float32(points[n, 2])
             top[i, j] = max(top[i, j], z)
             bottom[i, j] = min(bottom[i, j], z)
-
-
-def extent(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The smallest and the largest coordinates (3,) of points (n, 3), n > 0."""
-    low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    _fill_extent(low, high, points)
-    return low, high
-
-
-@compiled
-def _fill_extent(low, high, points):
-    for n in range(len(points)):
-        for k in range(3):
-            low[k] = min(low[k], points[n, k])
-            high[k] = max(high[k], points[n, k])

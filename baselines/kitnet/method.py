@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 import torch
 
-from baselines.heights.maps import cell_centres, envelopes, extent
+from baselines.heights.maps import cell_centres, envelopes
 from baselines.heights.scene_heights import RecordedHeights, SceneHeights
 from baselines.kitnet.config import KitNetConfig
 from baselines.kitnet.examples import points_of, rotation_of
@@ -130,7 +130,7 @@ def seat(cavity: CavityView, view_from_part: Pose, points: np.ndarray, pivot: np
     if not len(points):
         return Seat(rotation, pivot, 0.0)
     rotated = view_from_part.rotate(points)
-    low, high = extent(rotated)
+    low, high = rotated.min(0), rotated.max(0)
     middle = (low + high) / 2
     _, _, seen = envelopes(rotated - middle, CAVITY, CELL)
     centres = cell_centres(CAVITY, CELL)

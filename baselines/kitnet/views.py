@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import binary_closing, binary_fill_holes, label
 
-from baselines.heights.maps import HeightMap, cell_centres, envelopes, extent
+from baselines.heights.maps import HeightMap, cell_centres, envelopes
 from kit1000.numerics.compiled import compiled
 from kit1000.perception.observed.plates import Plane, plane_frame
 from kit1000.pose import Pose
@@ -114,7 +114,7 @@ def part_image(shell: np.ndarray, shift: np.ndarray, pixels: int, pixel: float) 
     """
     if not len(shell):
         return np.zeros((pixels, pixels), np.float32)
-    low, high = extent(shell)
+    low, high = shell.min(0), shell.max(0)
     middle = (low + high) / 2
     top, _, seen = envelopes(shell - (*(middle[:2] - shift), low[2]), (pixels, pixels), pixel)
     return np.where(seen, top / np.float32(SCALE), 0).astype(np.float32)

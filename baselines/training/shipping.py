@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from baselines.training.loop import BEST, LOG
 from kit1000.errors import InputError
@@ -35,13 +34,6 @@ def ship(run: Path, weights_folder: Callable[[str], Path], commit: str, precisio
     rows = (run / LOG).read_text(encoding="utf-8").splitlines()
     name = info["about"]["name"]
     target = weights_folder(name) / name
-    _check_same_data(target, info)
-    described = info | {"commit": commit, "log": [json.loads(row) for row in rows]}
-    save_tensors(target, tensors, described, precision, LARGEST)
-    return target
-
-
-def _check_same_data(target: Path, info: Mapping[str, Any]) -> None:
     path = target.with_name(f"{target.name}.json")
     published = read_json(path)["about"].get("dataset_id") if path.is_file() else None
     own = info["about"].get("dataset_id")
@@ -50,3 +42,6 @@ def _check_same_data(target: Path, info: Mapping[str, Any]) -> None:
             f"{target.name}: the published weights were trained on dataset {published}, these on {own}: manifests "
             "would name the wrong data; predict --weights RUN uses them as your own"
         )
+    described = info | {"commit": commit, "log": [json.loads(row) for row in rows]}
+    save_tensors(target, tensors, described, precision, LARGEST)
+    return target

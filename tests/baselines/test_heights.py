@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from baselines.heights.maps import UNSEEN, HeightMap, cell_centres, envelopes, extent
+from baselines.heights.maps import UNSEEN, HeightMap, envelopes
 from baselines.heights.scene_heights import CELL, RecordedHeights, RenderedHeights
 from baselines.heights.shell import shell_points
 from baselines.training.tasks.goal_draws import QueryDraws, goal_motions
@@ -31,12 +31,6 @@ def test_nothing_is_seen_outside_a_map() -> None:
     assert (field.at(np.array([(-0.1, 1.0), (1.0, 2.1), (5.0, 5.0)])) == UNSEEN).all()
 
 
-def test_centres_of_cells_are_symmetric_about_the_origin() -> None:
-    centres = cell_centres((6, 4), 0.5)
-    assert (centres == -centres[::-1, ::-1]).all()
-    assert centres[0, 0] == pytest.approx((-1.25, -0.75))
-
-
 def test_envelopes_hold_the_highest_and_the_lowest_point_of_each_cell() -> None:
     points = stream(0, "envelopes").uniform(-3, 3, (500, 3))
     top, bottom, seen = envelopes(points, (8, 6), 0.5)
@@ -45,13 +39,6 @@ def test_envelopes_hold_the_highest_and_the_lowest_point_of_each_cell() -> None:
         z = points[(index == (i, j)).all(1), 2].astype(np.float32)
         assert seen[i, j] == (len(z) > 0)
         assert (top[i, j], bottom[i, j]) == ((z.max(), z.min()) if len(z) else (0, 0))
-
-
-def test_the_extent_is_that_of_numpy() -> None:
-    points = stream(0, "extent").normal(size=(40, 3))
-    low, high = extent(points)
-    assert (low == points.min(0)).all()
-    assert (high == points.max(0)).all()
 
 
 def test_the_shell_of_a_block_has_its_top_its_floor_and_its_walls() -> None:

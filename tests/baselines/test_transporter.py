@@ -31,10 +31,8 @@ from baselines.transporter.network import (
     PER_SCALAR,
     SCALARS,
     SCORED,
-    Block,
     TransporterNet,
     correlate,
-    rotated_crops,
     with_slopes,
 )
 from kit1000.dataset.reader import Dataset
@@ -72,17 +70,6 @@ def test_rotations_split_into_tilt_and_yaw_and_back() -> None:
     assert (np.abs(yaws) <= np.pi).all()
 
 
-@given(st.floats(0.1, 2.0), ANGLES, ANGLES, ANGLES)
-def test_turning_the_scene_turns_the_tilt_and_leaves_the_yaw(
-    tilt: float, azimuth: float, yaw: float, turn: float
-) -> None:
-    before = rotation_from(tilt * np.array([np.cos(azimuth), np.sin(azimuth)]), yaw)
-    about_z = Pose.from_rotvec((0, 0, turn))
-    tilts, found = tilt_and_yaw(about_z @ before @ about_z.inverse())
-    assert np.exp(1j * found) == pytest.approx(np.exp(1j * yaw), abs=1e-6)
-    assert tilts == pytest.approx(tilt * np.array([np.cos(azimuth + turn), np.sin(azimuth + turn)]), abs=1e-6)
-
-
 def test_correlation_is_the_sum_of_products_at_each_shift() -> None:
     rng = torch.Generator().manual_seed(0)
     kits, kernels = torch.randn(2, 3, 20, 20, generator=rng), torch.randn(2, 4, 3, 8, 8, generator=rng)
@@ -116,15 +103,6 @@ def test_a_plane_has_its_slopes_where_it_is_seen() -> None:
     assert (slopes[:, 6:] == 0).all()
 
 
-def test_a_quarter_turn_of_a_part_is_exact() -> None:
-    part = torch.rand(1, 2, 24, 24, generator=torch.Generator().manual_seed(0))
-    turned = rotated_crops(part, torch.tensor([[0.0, np.pi / 2, np.pi]]), 16)[0]
-    middle = part[0, :, 4:-4, 4:-4]
-    assert torch.allclose(turned[0], middle, atol=1e-5)
-    assert torch.allclose(turned[1], torch.rot90(middle, 1, (1, 2)), atol=1e-5)  # x goes to y
-    assert torch.allclose(turned[2], torch.rot90(middle, 2, (1, 2)), atol=1e-5)
-
-
 class Outline(torch.nn.Module):
     """Features that are the outline alone."""
 
@@ -156,29 +134,6 @@ def test_a_part_is_found_where_it_lies_at_every_yaw(yaw: int) -> None:
     found = search(net, kits, part, np.arange(YAWS), np.ones((points, points), bool), np.zeros((points, points)))
     assert np.abs(found.xyz[:2] - target).max() < 1e-3
     assert np.degrees(np.abs(np.angle(np.exp(1j * (found.yaw - yaw * YAW_STEP))))) < 3
-
-
-def test_turning_the_part_shifts_the_scores_by_as_many_yaws() -> None:
-    """The part is turned before its network: a quarter turn less of the part is a quarter turn more of the answer."""
-    torch.manual_seed(0)
-    net = TransporterNet(TINY).eval()
-    kits, part = torch.rand(1, 3, 40, 40), torch.rand(1, 3, 24, 24)
-    yaws = torch.arange(YAWS)[None]
-    with torch.inference_mode():
-        features = net.kit_features(kits, False)
-        scores = net.scores(features, net.kernels(part, yaws))
-        turned = net.scores(features, net.kernels(torch.rot90(part, 1, (2, 3)), yaws))
-    assert torch.allclose(turned, scores.roll(-YAWS // 4, 1), atol=1e-4)
-
-
-def test_features_have_the_size_of_their_image_and_blocks_begin_calm() -> None:
-    net = FCN(3, 8, 5, skips=True, calm=True)
-    assert net(torch.rand(2, 3, 24, 40)).shape == (2, 5, 24, 40)
-    block = Block(4, (4, 4, 4), last=True, opens=False)
-    torch.nn.init.zeros_(block.widen.weight)
-    block.widen.bias = None
-    x = torch.randn(1, 4, 8, 8)
-    assert torch.equal(block(x), x)
 
 
 def test_the_paper_preset_has_the_layers_and_the_size_of_the_paper() -> None:

@@ -188,23 +188,6 @@ def test_position_and_rotation_are_measured_against_the_same_goal() -> None:
     assert errors.rotation_plain[0] == pytest.approx(np.pi)
 
 
-def test_golden_values() -> None:
-    """One synthetic query of each kind, with errors of 4 mm and 0.2 rad."""
-    truths = [truth_of(1, False), truth_of(4, False), truth_of(1, True), truth_of(2, True)]
-    targets = targets_of(*truths)
-    off = np.tile([2e-3, -2e-3, 2.8284e-3], (4, 1)), np.tile([0.1, -0.1, 0.1414], (4, 1))
-    errors = pose_errors(displaced(targets.goals_drawn, *off, targets.anchors), targets)
-    golden = {
-        # 2026-11-21: first version of the metrics
-        "position": [0.003999981, 0.003999981, 0.004869826, 0.004387856],
-        "rotation": [0.1999849, 0.1999849, 0.1933784, 0.1687036],
-        "mssd": [0.0073651, 0.00915996, 0.006819885, 0.008454633],
-        "angle": [0, 0, -0.9119003, 1.929566],
-    }
-    for name, values in golden.items():
-        assert getattr(errors, name) == pytest.approx(values, rel=1e-5, abs=1e-9), name
-
-
 def test_the_nearest_goals_are_those_of_the_errors() -> None:
     truths = [truth_of(goals, free, seed) for seed, (goals, free) in enumerate([(3, False), (2, True), (1, True)])]
     targets = targets_of(*truths)
@@ -223,17 +206,6 @@ def test_the_nearest_goals_are_those_of_the_errors() -> None:
 def mixed() -> Targets:
     kinds = [(1, False, "a"), (3, True, "bb"), (2, False, "a"), (1, True, "ccc"), (5, False, "bb")]
     return targets_of(*(truth_of(goals, free, k, part_id=part) for k, (goals, free, part) in enumerate(kinds)))
-
-
-@pytest.mark.parametrize("index", [[3, 0, 3], slice(1, 4), [False, True, True, False, True], []])
-def test_a_subset_of_the_targets_has_the_errors_of_the_whole(index: list | slice) -> None:
-    targets = mixed()
-    predicted = displaced(targets.goals_drawn, np.full((5, 3), 3e-3), np.full((5, 3), 0.2), targets.anchors)
-    chosen = np.arange(5)[np.array(index, dtype=int) if index == [] else index]
-    every, some = pose_errors(predicted, targets), pose_errors(predicted[chosen], targets[chosen])
-    assert len(targets[chosen]) == len(chosen)
-    for name in FIELDS:
-        assert np.array_equal(getattr(some, name), getattr(every, name)[chosen]), name
 
 
 def test_no_queries_have_no_errors() -> None:
@@ -292,7 +264,6 @@ def _named(name: str, motions: Pose, targets: Targets) -> np.ndarray:
     return getattr(pose_errors(motions, targets), name)
 
 
-symmetric = pytest.mark.parametrize("metric", [partial(_named, name) for name in ("position", "rotation", "mssd")])
 every = pytest.mark.parametrize(
     "metric",
     [partial(_named, name) for name in ("position", "rotation", "mssd", "position_plain", "rotation_plain")],
@@ -370,39 +341,3 @@ def test_the_world_frame_does_not_matter(metric: Metric, seed: int) -> None:
         motion = random_pose(rng)
         moved = hull_targets([moved_truth(truth, motion) for truth in truths])
         assert np.allclose(metric(motion @ motions @ motion.inverse(), moved), errors, rtol=0, atol=EQUAL)
-
-
-@symmetric
-@seeds
-def test_the_order_of_goals_and_their_angles_do_not_matter(metric: Metric, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    truths = sample_truths(rng)
-    motions = near_motions(hull_targets(truths), rng)
-    errors = metric(motions, hull_targets(truths))
-    for _ in range(4):
-        again = hull_targets([replace(truth, slot=reordered(truth.slot, rng)) for truth in truths])
-        assert np.allclose(metric(motions, again), errors, rtol=0, atol=EQUAL)
-
-
-def reordered(slot: Slot, rng: np.random.Generator) -> Slot:
-    """A slot with its goals in another order, each at another angle about the free axis."""
-    goals = slot.goals[rng.permutation(len(slot.goals))]
-    if slot.free_axis is None:
-        return replace(slot, goals=goals)
-    point, angles = slot.free_axis.point, rng.uniform(0, 2 * np.pi, (len(goals), 1))
-    about = Pose.from_rotvec(angles * slot.free_axis.direction)
-    return replace(slot, goals=Pose.from_translation(point) @ about @ Pose.from_translation(-point) @ goals)
-
-
-@symmetric
-def test_a_rotation_of_the_part_by_its_own_symmetry_does_not_matter(metric: Metric) -> None:
-    rng = np.random.default_rng(0)
-    targets = hull_targets(sample_truths(rng))
-    motions = near_motions(targets, rng)
-    errors = metric(motions, targets)
-    for corner in range(0, CORNERS, 2):
-        # keyed parts stay; the group of 4 rotates by quarters, a wheel by whole corners
-        steps = np.array([0, corner // 6 * 6, corner, corner, 0])
-        rotation = Pose.from_rotvec(steps[:, None] * 2 * np.pi / CORNERS * Z)
-        symmetry = targets.world_from_part @ rotation @ targets.world_from_part.inverse()
-        assert np.allclose(metric(motions @ symmetry, targets), errors, rtol=0, atol=EQUAL)

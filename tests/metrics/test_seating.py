@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from manifold3d import Manifold, OpType
+from manifold3d import Manifold
 
 from kit1000.errors import InputError, ShapeError
 from kit1000.kits.kit_trials import seating_at
 from kit1000.kits.prepared import PreparedKit
 from kit1000.kits.seating import (
     BISECTION_STEP,
-    HOVER,
     SEATED_LIMIT,
     STRICT_LIMIT,
     InsertedPart,
@@ -34,12 +33,11 @@ from kit1000.queries.motions import goal_motion
 from kit1000.values import Assembly, FreeAxis, Kit, Mount, Part, Truth
 from tests.samples.exact_offset import contact_offset_by_booleans, swept_solid
 from tests.samples.kits import QUICK, sample_kit, sample_part
-from tests.samples.shapes import cylinder, leaning_prism, lying_cylinder, random_solid, seated, upturned_tee
+from tests.samples.shapes import cylinder, seated
 
 laws = settings(max_examples=40)
 KIT_PITCH = 0.15  # [m] between two kits of an assembly
 ASSEMBLY_IDS = [f"{a}+{b}" for a, b in zip(QUICK, [*QUICK[1:], QUICK[0]], strict=True)]
-NEGLIGIBLE = 1e-12  # [m^3] a cube of 0.1 mm
 UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -191,30 +189,6 @@ def test_the_exact_test_equals_the_bisection(name: str) -> None:
         assert (results.seated[i], results.strict[i]) == (expected.seated, expected.strict), i
 
 
-def body(name: str) -> tuple[Mesh, np.ndarray]:
-    """A part and its axis (3,)."""
-    if name in QUICK:
-        return sample_part(name).mesh, sample_kit(name).slot.goals[0].inverse().rotate(UP)
-    return mesh_from_solid(SHAPES[name]().scale((1e-3, 1e-3, 1e-3))), UP
-
-
-SHAPES = {
-    "upturned tee": upturned_tee,
-    "leaning prism": leaning_prism,
-    "lying cylinder": lambda: lying_cylinder(20, 34),
-    "random": lambda: random_solid(3),
-}
-
-
-@pytest.mark.parametrize("name", [*QUICK, *SHAPES])
-def test_the_solids_of_a_swept_volume_cover_it(name: str) -> None:
-    """All of it, and nothing but what a longer path sweeps."""
-    mesh, axis = body(name)
-    union = Manifold.batch_boolean(list(SweptVolume.of(mesh, axis).solids), OpType.Add)
-    assert (swept_solid(mesh, axis) - union).volume() < NEGLIGIBLE
-    assert (union - swept_solid(mesh, axis, HOVER + np.ptp(mesh.vertices @ axis))).volume() < NEGLIGIBLE
-
-
 def test_the_swept_volume_of_a_thread_overlaps_itself_and_still_detects_collisions() -> None:
     """Two turns of a ramp, one patch: a ball collides from below its lowest face to the end of the path."""
     angle = np.linspace(0, 4 * np.pi, 97)
@@ -355,25 +329,6 @@ def test_penetration_is_the_depth_of_a_prediction_below_contact() -> None:
         assert results.penetration[0] == pytest.approx(max(-height, 0), abs=1e-5)
         assert results.contact_offset[0] == pytest.approx(-height, abs=1e-5)
         assert results.contact_height[0] == pytest.approx(0, abs=1e-5)
-
-
-def test_a_result_depends_on_its_query_alone() -> None:
-    """Not on the order of the queries, on the number of processes or on the world frame."""
-    truths = [truth_of(i, k, seed) for seed, (i, k) in enumerate([("tee+foot", 0), ("round", 0), ("tee+foot", 1)] * 2)]
-    trials = [(t, displaced(t.slot.goals[0], e)) for t, e in zip(truths, random_errors(5, 6), strict=True)]
-    serial, parallel = results_of(*trials, exact="all"), results_of(*trials, exact="all", workers=2)
-    reverse = results_of(*trials[::-1], exact="all")
-    for name in ("seated", "strict", "exact", "contact_offset", "contact_height", "penetration"):
-        assert np.array_equal(getattr(serial, name), getattr(parallel, name)), name
-        assert np.array_equal(getattr(serial, name), getattr(reverse, name)[::-1]), name
-    new_from_world = Pose(random_quaternions(np.random.default_rng(1), 1)[0], np.array([0.3, -0.2, 0.1]))
-    moved_truths = [
-        replace(t, world_from_kit=new_from_world @ t.world_from_kit, world_from_part=new_from_world @ t.world_from_part)
-        for t in truths
-    ]
-    in_new_world = results_of(*zip(moved_truths, (pose for _, pose in trials), strict=True), exact="all")
-    assert in_new_world.contact_offset == pytest.approx(serial.contact_offset, abs=1e-9)
-    assert np.array_equal(in_new_world.seated, serial.seated)
 
 
 def test_no_queries_have_no_results() -> None:

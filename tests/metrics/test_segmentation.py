@@ -52,13 +52,6 @@ def test_no_assignment_is_better(predicted: np.ndarray, true: np.ndarray) -> Non
         assert mean_iou(predicted, true) == pytest.approx(matched.iou.mean())
 
 
-@given(true=nonempty_masks(4), data=st.data())
-@settings(max_examples=50)
-def test_the_ground_truth_in_any_order_scores_1(true: np.ndarray, data: st.DataObject) -> None:
-    order = data.draw(st.permutations(range(len(true))))
-    assert mean_iou(true[list(order)], true) == 1
-
-
 @given(predicted=masks(3), true=nonempty_masks(3))
 @settings(max_examples=50)
 def test_unmatched_masks_cost_nothing_and_unmatched_objects_count_zero(predicted: np.ndarray, true: np.ndarray) -> None:
@@ -68,13 +61,6 @@ def test_unmatched_masks_cost_nothing_and_unmatched_objects_count_zero(predicted
     assert mean_iou(more, true) == pytest.approx(mean_iou(predicted, true))
     fewer = matched_masks(predicted[:-1], true).iou.sum()
     assert fewer <= matched_masks(predicted, true).iou.sum() + 1e-12
-
-
-@given(a=nonempty_masks(3), b=nonempty_masks(3))
-@settings(max_examples=50)
-def test_two_sets_of_equally_many_masks_are_symmetric(a: np.ndarray, b: np.ndarray) -> None:
-    k = min(len(a), len(b))
-    assert mean_iou(a[:k], b[:k]) == pytest.approx(mean_iou(b[:k], a[:k]))
 
 
 @given(labels=arrays.arrays(np.int16, (H, W), elements=st.integers(0, 4)))
@@ -89,15 +75,6 @@ def test_labels_equal_their_masks(labels: np.ndarray) -> None:
     )
     renumbered = np.where(labels > 0, labels.astype(np.uint16) * 1000, 0)
     assert mean_iou(renumbered, true) == mean_iou(labels, true)
-
-
-def test_shifted_rectangles_by_hand() -> None:
-    true, predicted = np.zeros((20, 20), int), np.zeros((20, 20), int)
-    true[2:12, 2:12], true[14:18, 2:12] = 1, 2
-    predicted[2:12, 7:17] = 9  # half of object 1; nothing of object 2
-    assert matched_masks(predicted, true).iou == pytest.approx([1 / 3, 0])
-    assert matched_masks(predicted, true).match.tolist() == [0, -1]
-    assert mean_iou(predicted, true) == pytest.approx(1 / 6)
 
 
 def test_an_image_without_objects() -> None:

@@ -10,7 +10,6 @@ from hypothesis.extra import numpy as arrays
 
 from kit1000.errors import InputError, ShapeError
 from kit1000.mesh import Mesh, mesh_from_solid
-from kit1000.mesh import surface_points as points_of
 from kit1000.metrics.volumes import known_share, occupancy_iou, surface_chamfer
 from kit1000.pose import Pose
 from kit1000.voxels import Grid, Volume, signed_distance, surface_points
@@ -57,16 +56,6 @@ def values() -> st.SearchStrategy[np.ndarray]:
 # --- occupancy ---
 
 
-@pytest.mark.parametrize(("shift", "expected"), [((0, 0, 0), 1.0), ((10, 0, 0), 0.5), ((30, 0, 0), 0.0)])
-def test_shifted_boxes_have_the_iou_of_their_overlap(shift: tuple[float, float, float], expected: float) -> None:
-    still, moved = volume(block(30, 20, 20)), volume(block(30, 20, 20, shift))
-    assert occupancy_iou(still, moved) == pytest.approx(expected, abs=1e-12)
-
-
-def test_a_ball_in_a_ball_has_the_iou_of_their_volumes() -> None:
-    assert occupancy_iou(ball(0.015), ball(0.03)) == pytest.approx((15 / 30) ** 3, rel=0.02)
-
-
 @given(a=values(), b=values())
 def test_the_iou_equals_a_loop_over_voxels(a: np.ndarray, b: np.ndarray) -> None:
     both = either = known = 0
@@ -105,15 +94,6 @@ def test_volumes_without_known_or_occupied_voxels() -> None:
 # --- chamfer distance ---
 
 
-def test_concentric_shells_are_as_far_apart_as_their_radii() -> None:
-    assert surface_chamfer(ball(0.020), ball(0.023)) == pytest.approx(3 * MM, rel=0.01)
-
-
-def test_three_points_by_hand() -> None:
-    a, b = np.array([[0.0, 0, 0], [0.003, 0, 0]]), np.array([[0.0, 0.004, 0]])
-    assert surface_chamfer(a, b) == pytest.approx(((4 + 5) / 2 + 4) / 2 * MM)
-
-
 @given(pose=poses(), scale=st.floats(0.1, 10))
 @settings(max_examples=20)
 def test_the_distance_equals_all_pairs_in_any_world_frame_and_scale(pose: Pose, scale: float) -> None:
@@ -132,21 +112,6 @@ def test_a_volume_has_the_distance_of_its_surface_points() -> None:
     assert surface_chamfer(a, b) == surface_chamfer(surface_points(a), surface_points(b))
     away = Volume(a.grid.moved(Pose.from_translation((0.1, 0, 0))), a.values)
     assert surface_chamfer(away, b) > 0.05  # volumes are posed in the world
-
-
-def test_even_samples_of_two_meshes_have_the_distance_of_their_volumes() -> None:
-    a, b = block(40, 30, 20), block(44, 30, 20)
-    even = [points_of(mesh, 20_000, np.random.default_rng(seed)) for seed, mesh in enumerate((a, b))]
-    assert surface_chamfer(volume(a), volume(b)) == pytest.approx(surface_chamfer(*even), abs=0.3 * MM)
-
-
-@given(pose=poses())
-@settings(max_examples=10)
-def test_equal_volumes_have_exactly_iou_1_and_distance_0(pose: Pose) -> None:
-    one = volume(block(20, 12, 8), grid(32), Pose(pose.wxyz, np.clip(pose.xyz, -5 * MM, 5 * MM)))
-    again = Volume(one.grid, one.values.copy())
-    assert surface_chamfer(one, again) == 0
-    assert occupancy_iou(one, again) == 1
 
 
 def test_no_surface_is_infinitely_far_from_a_surface() -> None:

@@ -145,14 +145,6 @@ def test_a_moved_world_changes_nothing_in_the_image(ring: LabelledDepth) -> None
     np.testing.assert_allclose((motion @ here.world_from_camera).xyz, there.world_from_camera.xyz, atol=1e-7)
 
 
-def test_two_runs_agree_to_the_bit_and_the_input_stays(ring: LabelledDepth) -> None:
-    image = measured(ring, 2)
-    before = image.view.depth.tobytes()
-    one, two = (restored(image, D415).view.depth.tobytes() for _ in range(2))
-    assert one == two
-    assert image.view.depth.tobytes() == before
-
-
 def test_an_image_without_bodies_or_returns_passes(ring: LabelledDepth) -> None:
     nothing = LabelledDepth(ring.view, np.zeros_like(ring.labels))
     blind = LabelledDepth(replace(ring.view, depth=np.zeros_like(ring.view.depth)), ring.labels)

@@ -24,7 +24,6 @@ from kit1000.perception.networks.weight_files import (
     copied_state,
     load_into,
     load_weights,
-    save_tensors,
     save_weights,
 )
 from kit1000.perception.placement.network import Placer
@@ -90,22 +89,6 @@ def test_without_pytorch_one_line_says_what_to_install() -> None:
     code = "import sys; sys.modules['torch'] = None; import kit1000.perception.networks.weight_files"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.stderr.strip().endswith("the networks need PyTorch and safetensors: pip install 'kit1000[learn]'")
-
-
-def test_int8_weights_stored_again_are_the_same(stem: Path) -> None:
-    save_weights(stem, network(width=40), {}, precision="int8")
-    tensors, _ = load_weights(stem)
-    save_tensors(stem, tensors, {}, precision="int8")
-    again, _ = load_weights(stem)
-    for name, value in tensors.items():
-        torch.testing.assert_close(again[name], value, rtol=1e-6, atol=0)
-
-
-def test_the_same_weights_give_the_same_bytes(tmp_path: Path) -> None:
-    for name in "ab":
-        save_weights(tmp_path / name, network(), {"steps": 1})
-    assert (tmp_path / "a.safetensors").read_bytes() == (tmp_path / "b.safetensors").read_bytes()
-    assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
 
 
 @pytest.mark.parametrize(
@@ -231,15 +214,6 @@ def test_a_folded_network_says_the_same(blocks: int) -> None:
     torch.testing.assert_close(found, expected, rtol=1e-4, atol=1e-4)
     assert not any(isinstance(module, nn.BatchNorm2d) for module in faster.modules())
     assert all(torch.equal(values, before[name]) for name, values in net.state_dict().items())
-
-
-def test_a_network_in_training_is_folded_as_in_evaluation() -> None:
-    net, image = random_net(1), torch.randn(1, 3, 8, 8)
-    with torch.inference_mode():
-        expected = net.image(image)
-        found = folded(net.train()).image(image)
-    assert net.training
-    torch.testing.assert_close(found, expected, rtol=1e-4, atol=1e-4)
 
 
 @pytest.mark.parametrize("rows", [1, 3, 4, 5, 16])

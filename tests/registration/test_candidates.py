@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -129,15 +128,6 @@ def test_confidence_rises_with_the_score_and_falls_with_that_of_a_rival(own: flo
     assert sum(shares) == pytest.approx(1 - 1 / (1 + np.exp(own) + np.exp(rival)), abs=1e-8)
 
 
-def test_a_fit_beside_the_goal_scores_lower() -> None:
-    known = case("a keyed block")
-    seated, turned = (
-        part_of(known).fitted(known.candidate(apply_error(known.goal, known.pivot, np.zeros(3), np.array([0, 0, a]))))
-        for a in (0.0, np.pi)
-    )
-    assert turned.score < seated.score - 1
-
-
 def test_an_uncertain_camera_lowers_the_score_of_a_restored_image() -> None:
     known = case("a keyed block")
     right = known.candidate(known.goal)
@@ -180,13 +170,6 @@ def test_goals_in_restored_images_are_raised_and_exact_ones_are_not() -> None:
     there = raised.candidate.cavity.world_from_plate @ raised.candidate.plate_from_now
     np.testing.assert_allclose(there.matrix(), raised.goal_from_now.matrix(), atol=1e-12)
     assert raised.score == fit.score
-
-
-def test_of_candidates_that_contradict_equally_the_first_stays_the_first() -> None:
-    known = case("an L")
-    good = known.candidate(known.goal)
-    twin, wrong = replace(good, cost=good.cost + 0.5), known.candidate(known.goal @ Pose.from_translation((0, 0, 0.02)))
-    assert part_of(known).least_contradictory([wrong, good, twin]) == [good, twin, wrong]
 
 
 def normals_down(known: Case, guess: Pose) -> list[np.ndarray]:

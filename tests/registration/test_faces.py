@@ -30,16 +30,6 @@ def test_two_faces_of_a_box_tell_all_six(pose: Pose, shown: tuple[int, int]) -> 
     np.testing.assert_array_equal(normals[:2], axes[list(shown)])  # those that are shown come first, as they are
 
 
-@given(first=poses(), other=poses())
-@settings(max_examples=12)
-def test_added_faces_are_two_angles_apart(first: Pose, other: Pose) -> None:
-    seen = [*first.rotation_matrix().T[:2], *other.rotation_matrix().T[:2]]
-    normals = right_angled(seen, np.radians(4))
-    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-12)
-    for a, b in combinations(normals, 2):
-        assert a @ b <= np.cos(np.radians(8))
-
-
 @given(tilt=st.floats(0, np.pi), turn=st.floats(-3, 3))
 def test_a_face_is_put_upright_or_level_only_within_the_angle(tilt: float, turn: float) -> None:
     normal = np.array([np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt)])

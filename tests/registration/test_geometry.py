@@ -28,8 +28,7 @@ from kit1000.registration.search import (
     SearchWindow,
     without_duplicates,
 )
-from kit1000.voxels import Volume, signed_distance, surface_points
-from tests.samples.kits import sample_kit
+from kit1000.voxels import Volume, signed_distance
 from tests.samples.registration_cases import SIZE, columns, cuboid, volume_of
 from tests.samples.shapes import Seated, ell, gaps, seated
 from tests.samples.strategies import poses
@@ -86,16 +85,6 @@ def test_points_of_a_cavity_lie_on_its_walls_and_floor() -> None:
     assert np.minimum(beside, beneath).max() < VOXEL
     assert np.median(np.minimum(beside, beneath)) < 0.1 * VOXEL
     assert min((beside < 0.1 * VOXEL).sum(), (beneath < 0.1 * VOXEL).sum()) > 500
-
-
-@pytest.mark.parametrize("family", ["bracket", "tee"])
-def test_a_generated_kit_has_its_depth(family: str) -> None:
-    kit = sample_kit(family)
-    cavity = find_cavity(*on_a_plate(kit.mesh, TILTED, 0.144), IDEAL.noise)
-    assert cavity is not None
-    assert cavity.depth == pytest.approx(kit.slot.depth, abs=VOXEL)
-    gap = walls_of(kit.mesh, -2e-3, np.argwhere(cavity.region) * VOXEL - (len(cavity.region) - 1) / 2 * VOXEL)
-    assert gap.min() > -VOXEL
 
 
 def test_a_plate_without_a_cavity_has_none() -> None:
@@ -163,10 +152,6 @@ def test_planes_are_plates_and_neither_floors_nor_walls(seed: int) -> None:
         assert plane.area == pytest.approx(0.09**2, rel=0.1)
 
 
-def test_without_points_there_is_no_plate() -> None:
-    assert find_planes(np.zeros((0, 3)), np.zeros((0, 3)), 1e-6, IDEAL.noise, np.random.default_rng(0)) == []
-
-
 @given(tilt=st.floats(0, 0.8), azimuth=st.floats(0, 6.3), above=st.tuples(*[st.floats(-0.2, 0.2)] * 3))
 def test_the_origin_of_a_plane_frame_is_the_projection_of_the_point(
     tilt: float, azimuth: float, above: tuple[float, ...]
@@ -214,14 +199,6 @@ def test_a_box_with_its_middle_outside_a_face_stands_on_two_faces(pose: Pose, be
     assert len(faces) == 2
     for face in faces:
         assert abs(face.normal @ axes_of(pose)[axis]) == pytest.approx(1, abs=1e-9)
-
-
-def test_the_noisy_surface_of_a_box_still_has_six_faces() -> None:
-    points = surface_points(volume_of(cuboid(), TILTED))
-    noisy = points + np.random.default_rng(0).normal(0, 0.05e-3, points.shape)
-    faces = standing_faces(noisy, TILTED.xyz, np.radians(8))
-    for normal in axes_of(TILTED):
-        assert max(float(face.normal @ normal) for face in faces) > np.cos(np.radians(3))
 
 
 @pytest.mark.parametrize("points", [np.zeros((0, 3)), np.zeros((3, 3)), np.outer(np.arange(9), [1e-3, 2e-3, 0])])

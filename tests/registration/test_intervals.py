@@ -179,17 +179,6 @@ def distances_at(problem: IntervalProblem, twist: np.ndarray) -> tuple[np.ndarra
     return outside, filled
 
 
-@given(seed=st.integers(0, 1000))
-def test_residuals_at_many_twists_are_those_at_each(seed: int) -> None:
-    """Bit for bit, with the floors of one of them."""
-    known = case("an L")
-    problem, twist = problem_at(known, exact(known.part), hold=0.5)
-    twists = twist + np.random.default_rng(seed).normal(size=(5, 6)) * 2e-3
-    floors = problem.floors_at(twists[0])
-    alone = np.concatenate([problem.residuals(each[None], floors) for each in twists])
-    np.testing.assert_array_equal(problem.residuals(twists, floors), alone)
-
-
 @pytest.mark.parametrize("name", CASES)
 def test_where_nothing_is_unknown_intervals_are_distances(name: str) -> None:
     problem, twist = problem_at(case(name), exact(case(name).part))

@@ -27,8 +27,7 @@ from kit1000.registration.rank import difference
 from kit1000.registration.search import LEAST_SIDE
 from kit1000.rng import stream
 from kit1000.sim.sensors import SENSORS, sense
-from kit1000.testing import check_predictor, moved_query, moved_truth
-from kit1000.testing.predictors import WORLD_MOTION
+from kit1000.testing import check_predictor
 from kit1000.values import LabelledDepth, Query, TrueGeometry, Truth
 from kit1000.voxels import Grid, Volume
 
@@ -132,12 +131,6 @@ def test_all_tracks_conform(data: Dataset, source: str) -> None:
     pairs = [pair for split in splits for track in tracks for pair in queries_of(data, split, track)]
     geometries = geometries_of(data, pairs) if source == "truth" else None
     check_predictor(Registration(data, source), [query for query, _ in pairs], geometries, moves=False)
-
-
-@pytest.mark.slow
-def test_in_a_moved_world_parts_reach_their_goals_too(data: Dataset) -> None:
-    pairs = [pair for split in ("train", "val", "test-all") for pair in queries_of(data, split, "snap")]
-    check_exact(data, [(moved_query(query, WORLD_MOTION), moved_truth(truth, WORLD_MOTION)) for query, truth in pairs])
 
 
 def test_true_volumes_need_the_true_geometry(data: Dataset, snaps: QueryTruths) -> None:

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given
-from hypothesis import strategies as st
 
 from kit1000.perception.placement import CELL, CELLS, Channel
 from kit1000.pose import Pose
@@ -91,14 +90,6 @@ def test_the_twist_of_a_fit_ends_at_the_truth(goal: Pose, fit: Pose, frame: Pose
     pivot = (frame.inverse() @ fit).apply(middle)
     there = Pose.from_rotvec(twist[:3], pivot + twist[3:]) @ Pose.from_translation(-pivot)
     np.testing.assert_allclose((frame @ there @ frame.inverse() @ fit).matrix(), goal.matrix(), atol=1e-8)
-
-
-@given(fit=poses(), frame=poses(), yaw=st.floats(-0.1, 0.1), x_mm=st.floats(-5, 5), y_mm=st.floats(-5, 5))
-def test_a_move_is_its_own_twist(fit: Pose, frame: Pose, yaw: float, x_mm: float, y_mm: float) -> None:
-    patch, middle = PlatePatch(np.zeros((len(Channel), 1, 1), np.float32), frame), np.array([0.1, -0.2, 0.3])
-    move = np.array([yaw, x_mm * 1e-3, y_mm * 1e-3])
-    twist = patch.twist_to(patch.moved(fit, middle, move), fit, middle)
-    np.testing.assert_allclose(twist, [0, 0, yaw, *move[1:], 0], atol=1e-4)  # yaw up to its third power
 
 
 def test_a_shift_is_along_the_patch() -> None:

@@ -11,13 +11,11 @@ from kit1000.kits.cavity import insertion_depth
 from kit1000.mesh import mesh_from_solid
 from kit1000.pose import Pose
 from kit1000.queries.guesses import MAX_ANGLE, MAX_OFFSET
-from kit1000.queries.motions import apply_error
 from kit1000.registration.geometry.cavity import Cavity
 from kit1000.registration.geometry.height_maps import dilated, expected_heights
 from kit1000.registration.search import (
     CELL,
     UP,
-    YAW_STEP,
     KitSpectrum,
     SearchWindow,
     best_shifts,
@@ -25,10 +23,8 @@ from kit1000.registration.search import (
 )
 from kit1000.voxels import Grid, signed_distance
 from tests.samples.registration_cases import (
-    CASES,
     CLEARANCE,
     WORLD_FROM_KIT,
-    WORLD_FROM_PART,
     case,
     known_cavity,
 )
@@ -116,23 +112,6 @@ def test_no_shift_leaves_the_window() -> None:
     at = np.stack(np.broadcast_arrays(axis[:, None], axis[None], z), axis=-1)
     inside = (np.abs(WORLD_FROM_KIT.apply(pivot + at) - guessed) <= 4e-3).all(-1)
     assert found[0][1] == pytest.approx(every[inside].min(), abs=1e-9)
-
-
-@pytest.mark.parametrize("name", CASES)
-@pytest.mark.parametrize("guessed", [True, False])
-def test_the_search_ranks_the_goal_first(name: str, guessed: bool) -> None:
-    """Among all positions and yaws, near a bad guess or without one, with the right face down and the opposite one."""
-    known = case(name)
-    guess = apply_error(known.goal, known.pivot, np.array([20e-3, -15e-3, 10e-3]), np.array([0.1, -0.2, 0.3]))
-    window = SearchWindow(known.pivot, guess if guessed else None, MAX_ANGLE, MAX_OFFSET)
-    found = coarse_search(
-        known.part, WORLD_FROM_PART.xyz, [known.down_normal, -known.down_normal], [known.cavity], CLEARANCE, window
-    )
-    assert [each.cost for each in found] == sorted(each.cost for each in found)
-    distance, angle = known.error_of(found[0].plate_from_now)
-    assert distance < 1.5e3 * CELL
-    assert angle <= np.degrees(YAW_STEP)
-    np.testing.assert_array_equal(found[0].down_normal, known.down_normal)
 
 
 def test_a_hidden_floor_is_sought_as_deep_as_the_known_height_of_the_part_tells() -> None:

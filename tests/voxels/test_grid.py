@@ -6,8 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.ndimage import map_coordinates
 
 from kit1000.errors import InputError
@@ -22,7 +20,6 @@ from kit1000.voxels import (
     surface_points,
 )
 from tests.samples.shapes import box
-from tests.samples.strategies import poses
 
 ROTATED = Pose.from_rotvec((0.3, -0.7, 1.1), (0.2, -0.1, 0.05))
 GRID = Grid((7, 6, 5), 2e-3, ROTATED)
@@ -39,18 +36,6 @@ def millimetre_box(x: float, y: float, z: float) -> Mesh:
     """In metres, about the origin."""
     mesh = mesh_from_solid(box(x, y, z)).scaled(1e-3)
     return Mesh(mesh.vertices - mesh.bounds.mean(0), mesh.faces)
-
-
-def test_the_centre_of_a_voxel_is_at_its_index() -> None:
-    np.testing.assert_allclose(GRID.world((1, 2, 3)), ROTATED.apply((2e-3, 4e-3, 6e-3)))
-    np.testing.assert_array_equal(GRID.centres()[4, 3, 2], GRID.world((4, 3, 2)))
-
-
-@given(pose=poses(), shape=st.tuples(*[st.integers(1, 9)] * 3))
-@settings(max_examples=30)
-def test_the_centre_of_a_centred_grid_is_at_the_pose(pose: Pose, shape: tuple[int, int, int]) -> None:
-    grid = Grid.centred(pose, shape, 1e-3)
-    np.testing.assert_allclose(grid.centres().reshape(-1, 3).mean(0), pose.xyz, atol=1e-12)
 
 
 def test_indices_is_the_inverse_of_world() -> None:
@@ -75,13 +60,6 @@ def test_values_cannot_be_written_and_are_a_copy() -> None:
         volume.values[0, 0, 0] = 1
 
 
-def test_occupied_known_and_filled() -> None:
-    volume = Volume(Grid((1, 1, 4), 1.0, Pose.identity()), np.array([[[-0.5, 0.0, 0.5, np.nan]]]))
-    assert volume.occupied.ravel().tolist() == [True, False, False, False]
-    assert volume.known.ravel().tolist() == [True, True, True, False]
-    assert volume.filled(1.0).ravel().tolist() == [-0.5, 0.0, 0.5, 1.0]
-
-
 def test_a_moved_volume_has_its_surface_moved() -> None:
     volume, shift = any_volume(), Pose.from_rotvec((0, 0.2, 1), (1, 2, 3))
     moved = Volume(volume.grid.moved(shift), volume.values)
@@ -103,18 +81,6 @@ def test_a_crop_is_unknown_outside_the_volume(start: tuple[int, int, int]) -> No
     inside = ((index >= 0) & (index < GRID.shape)).all(-1)
     np.testing.assert_array_equal(cropped.known, inside)
     np.testing.assert_array_equal(cropped.values[inside], volume.values[tuple(index[inside].T)])
-
-
-def test_resampling_on_its_own_grid_changes_nothing() -> None:
-    volume = any_volume()
-    np.testing.assert_array_equal(resample(volume, GRID).values, volume.values)
-
-
-def test_resampling_on_a_cropped_grid_is_cropping() -> None:
-    volume = any_volume()
-    np.testing.assert_array_equal(
-        resample(volume, GRID.crop((-1, 2, 1), (4, 4, 6))).values, crop(volume, (-1, 2, 1), (4, 4, 6)).values
-    )
 
 
 def test_resampling_is_the_trilinear_interpolation_of_scipy() -> None:

@@ -13,7 +13,7 @@ from kit1000.errors import InputError
 from kit1000.pose import Pose
 from kit1000.sim.render import render
 from kit1000.values import View
-from kit1000.voxels import Grid, signed_distance, surface_points, tsdf
+from kit1000.voxels import Grid, tsdf
 from tests.samples.shapes import as_part, ring_plate
 from tests.samples.strategies import poses
 
@@ -87,37 +87,6 @@ def test_a_grid_around_the_camera_is_unknown_behind_it() -> None:
     assert np.isnan(tsdf(grid.moved(Pose.from_translation((0, 0, -1))), view).values).all()
 
 
-def test_a_wall_has_value_zero_at_its_depth() -> None:
-    for depth in (0.5, 0.5007, 0.4991):
-        volume = tsdf(AHEAD, level_view(depth))
-        z = AHEAD.centres()[..., 2]
-        known = volume.known
-        np.testing.assert_array_equal(known, depth - z >= -0.01 * (1 + 1e-9))
-        np.testing.assert_allclose(volume.values[known], np.minimum((depth - z[known]) / 0.01, 1), atol=1e-5)
-        np.testing.assert_allclose(surface_points(volume)[:, 2], depth, atol=1e-7)
-
-
-def test_a_voxel_belongs_to_the_pixel_of_its_ray() -> None:
-    """One return in an image: its voxels are centred on the ray through the pixel centre, not half a pixel off."""
-    depth = np.zeros((101, 101), np.float32)
-    depth[30, 70] = 0.5
-    fine = Grid.centred(Pose.from_translation(SQUARE.unproject_pixels((70.0, 30.0), 0.5)), (21, 21, 1), 1e-4)
-    known = tsdf(fine, View(SQUARE, Pose.identity(), depth)).known[:, :, 0]
-    np.testing.assert_array_equal(known, known[::-1, ::-1])
-    assert 100 < known.sum() < 170  # a pixel is 1.25 mm wide there, 12.5 voxels
-
-
-def test_the_surface_of_a_tilted_wall_is_within_half_a_voxel() -> None:
-    normal, far = np.array([0.3, -0.2, 0.93]), 0.5
-    rays = np.stack(np.meshgrid((np.arange(101) - 50) / 400, (np.arange(101) - 50) / 400), -1)
-    depth = far * normal[2] / (rays @ normal[:2] + normal[2])
-    points = surface_points(tsdf(AHEAD, View(SQUARE, Pose.identity(), depth)))
-    distance = (points - (0, 0, far)) @ (normal / np.linalg.norm(normal))
-    assert len(points) > 400
-    assert np.abs(distance).max() < 0.5 * AHEAD.voxel_size
-    assert abs(distance.mean()) < 0.02 * AHEAD.voxel_size
-
-
 @given(move=poses())
 @settings(max_examples=15)
 def test_moving_the_world_changes_no_value(move: Pose) -> None:
@@ -151,15 +120,6 @@ def test_beside_the_mask_voxels_are_free_up_to_the_depth() -> None:
     assert (volume.values[beside & (z < 0.4999)] == 1).all()
     assert np.isnan(volume.values[beside & (z > 0.5001)]).all()
     np.testing.assert_array_equal(volume.values[on], tsdf(AHEAD, level_view(0.5)).values[on])
-
-
-def test_voxels_deep_inside_are_never_free() -> None:
-    grid = Grid.centred(Pose.from_rotvec((0.1, 0.2, 0.3)), (60, 60, 60), 1e-3)
-    inside = signed_distance(grid, [(PART, Pose.identity())], truncation=5e-3).values < -0.2  # one voxel
-    observed = tsdf(grid, part_view())
-    assert inside.sum() > 2000
-    assert not (inside & (observed.values > 0)).any()
-    assert (inside & observed.occupied).sum() > 500
 
 
 def test_threads_change_no_byte() -> None:

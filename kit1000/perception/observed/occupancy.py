@@ -12,21 +12,20 @@ from kit1000.voxels import Grid
 COLUMNS = 2  # across a cell, along x and y; along z the share is exact
 
 
-def filled_share(mesh: Mesh, world_from_mesh: Pose, grid: Grid, columns: int = COLUMNS) -> np.ndarray:
+def filled_share(mesh: Mesh, world_from_mesh: Pose, grid: Grid) -> np.ndarray:
     """The share of each cell that a closed mesh fills, from the heights at which lines along z cross its surface.
 
     Args:
         mesh: closed, without self-intersection.
         world_from_mesh: its pose.
         grid: of the cells.
-        columns: lines across a cell, along x and along y.
 
     Returns:
         (nx, ny, nz) float32, 0 to 1.
     """
     points = (grid.world_from_grid.inverse() @ world_from_mesh).apply(mesh.vertices) / grid.voxel_size + 0.5
     share = np.zeros(grid.shape, np.float32)
-    _add_crossings(np.ascontiguousarray(points), mesh.faces, columns, share)
+    _add_crossings(np.ascontiguousarray(points), mesh.faces, COLUMNS, share)
     _sum_downwards(share)
     return np.clip(share, 0, 1)
 

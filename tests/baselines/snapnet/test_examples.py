@@ -15,7 +15,7 @@ from baselines.snapnet import query_volumes as volumes_module
 from baselines.snapnet.candidate_rotations import candidates
 from baselines.snapnet.config import PositionConfig, RotationConfig, Source
 from baselines.snapnet.examples import QuerySample, QuerySampler, query_sample, residual_of
-from baselines.snapnet.query_volumes import QueryVolumes, grid_about, image_crops
+from baselines.snapnet.query_volumes import QueryVolumes, grid_about
 from baselines.snapnet.task import HARD, PositionTask, RotationTask, training_candidates
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
@@ -30,7 +30,7 @@ from kit1000.queries.guesses import MAX_OFFSET
 from kit1000.queries.motions import apply_error, goal_motion
 from kit1000.rng import stream
 from kit1000.testing import moved_geometry, moved_query, moved_truth
-from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, FreeAxis, Query
+from kit1000.values import FIRST_PART_LABEL, FreeAxis, Query
 from kit1000.voxels import resample, tsdf
 from kit1000.weights import WEIGHTS
 
@@ -220,18 +220,6 @@ def test_cropped_images_give_the_volumes_of_the_whole_image(data: Dataset, track
     assert (columns < 0).sum() > (kit < 0).sum()
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_the_completed_volume_is_nearly_the_kit(data: Dataset, seed: int) -> None:
-    sample = drawn(data, seed, "depth")
-    geometry = data.geometry.true_geometry(data.truth_of(sample.volumes.query))
-    true = replace(sample.volumes, source="truth", geometry=geometry)
-    work = sample.world_from_work @ Pose.from_translation(sample.residual.offset)
-    exact = true.kit_volume(work, (24, 24, 24), VOXEL) < 0
-    observed = sample.volumes.kit_volume(work, (24, 24, 24), VOXEL) < 0
-    completed = sample.volumes.kit_volume(work, (24, 24, 24), VOXEL, columns=True) < 0
-    assert (completed == exact).mean() > max(0.85, (observed == exact).mean())
-
-
 def test_without_the_cache_the_volumes_are_the_same(data: Dataset) -> None:
     for source in ("truth", "depth"):
         sample = drawn(data, 7, source)
@@ -373,18 +361,6 @@ def test_a_prediction_reads_the_image_of_its_query_once(query: Query) -> None:
     volumes.part_volume(Pose.identity(), YAWED, CELLS, VOXEL)
     volumes.kit_volume(YAWED, CELLS, VOXEL)
     assert (volumes.query.image.labels.any(), len(reads)) == (True, 1)
-
-
-def test_crops_hold_every_masked_depth(query: Query) -> None:
-    image = query.read_image()
-    crops = image_crops(image, query)
-    labels = set(np.unique(image.labels).tolist()) - {0, ASSEMBLY_LABEL}
-    assert {FIRST_PART_LABEL + part for part in crops.parts} == labels
-    assert crops.kits is not None
-    cropped = {FIRST_PART_LABEL + part: crop for part, crop in crops.parts.items()} | {ASSEMBLY_LABEL: crops.kits.image}
-    for label, crop in cropped.items():
-        depth = crop.view.depth[crop.labels == label]
-        np.testing.assert_array_equal(depth, image.view.depth[image.labels == label])
 
 
 # kits that a network completes

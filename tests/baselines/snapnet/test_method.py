@@ -75,17 +75,6 @@ def test_the_whole_search_conforms_without_a_guess(data: Dataset) -> None:
     check_predictor(untrained(data, "depth"), queries, moves=False)
 
 
-def test_weights_are_read_back_with_their_config(data: Dataset, tmp_path: Path) -> None:
-    method = untrained(data, "depth")
-    for name, net in (("position", method.position), ("rotation", method.rotation)):
-        save_weights(tmp_path / name, net, {"about": {"network": asdict(net.config)}})
-    again = SnapNet(data, "depth", tmp_path / "position", tmp_path / "rotation")
-    query = next(data.split("val").queries("snap"))
-    one, other = method(query).goal_from_now, again(query).goal_from_now
-    np.testing.assert_allclose((one @ other.inverse()).xyz, 0, atol=1e-6)
-    assert float((one @ other.inverse()).angle()) < 1e-6
-
-
 def test_weights_of_the_other_network_are_refused(data: Dataset, tmp_path: Path) -> None:
     method = untrained(data, "depth")
     save_weights(tmp_path / "rotation", method.rotation, {"about": {"network": asdict(ROTATION)}})

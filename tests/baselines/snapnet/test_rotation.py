@@ -11,7 +11,6 @@ import torch
 from scipy.ndimage import map_coordinates
 from torch import Tensor, nn
 
-from baselines.snapnet import rotation
 from baselines.snapnet.candidate_rotations import (
     candidates,
 )
@@ -27,7 +26,7 @@ from baselines.snapnet.set_abstraction import (
     farthest_points,
 )
 from kit1000.errors import InputError
-from kit1000.pose import Pose, quaternion_angle, quaternion_from_rotvec, quaternion_multiply
+from kit1000.pose import Pose, quaternion_angle, quaternion_from_rotvec
 from kit1000.rng import stream
 
 TOY = replace(
@@ -177,25 +176,6 @@ def test_logits_are_those_of_a_plain_network_with_the_same_weights(config):
             torch.testing.assert_close(result[one], plain, atol=1e-4, rtol=0)
 
 
-def test_norms_folded_into_the_maps_change_nothing():
-    net = random_net()
-    result = scores(net, *scene())
-    for module in net.modules():
-        module.training = not isinstance(module, torch.nn.BatchNorm1d)
-    torch.testing.assert_close(scores(net, *scene()), result, atol=1e-4, rtol=0)
-
-
-def test_candidates_are_scored_independently(monkeypatch):
-    net = random_net()
-    part, kit, rotations, volume = scene()
-    result = scores(net, part, kit, rotations, volume)
-    order = torch.randperm(20)
-    torch.testing.assert_close(scores(net, part, kit, rotations[:, order], volume), result[:, order], atol=1e-4, rtol=0)
-    monkeypatch.setattr(rotation, "BATCH", 3)
-    torch.testing.assert_close(scores(net, part, kit, rotations, volume), result, atol=1e-4, rtol=0)
-    torch.testing.assert_close(scores(net, part[1:], kit[1:], rotations[1:], volume[1:]), result[1:], atol=1e-4, rtol=0)
-
-
 def test_the_sign_of_a_quaternion_and_the_size_of_the_scene_do_not_matter():
     net = random_net()
     part, kit, rotations, volume = scene()
@@ -205,16 +185,6 @@ def test_the_sign_of_a_quaternion_and_the_size_of_the_scene_do_not_matter():
     torch.testing.assert_close(
         scores(net, part * 4, kit * 4, rotations, volume), result
     )  # by a power of two: to the bit
-
-
-def test_rotating_the_part_first_is_rotating_by_the_product():
-    net = random_net()
-    part, kit, rotations, volume = scene(scenes=1)
-    first = Pose.from_rotvec([0.1, -0.2, 0.3])
-    before = torch.from_numpy(first.apply(part.numpy()))
-    product = torch.from_numpy(quaternion_multiply(rotations.numpy(), first.wxyz))
-    result = scores(net, before.float(), kit, rotations, volume)
-    torch.testing.assert_close(result, scores(net, part, kit, product, volume), atol=1e-3, rtol=0)
 
 
 def test_a_scene_without_points_has_finite_logits():
@@ -245,13 +215,6 @@ def test_gradients_are_those_of_finite_differences():
     points, features = torch.randn(12, 4).double(), torch.randn(12, 3).double().requires_grad_()
     groups = Groups(torch.arange(6), [torch.randint(12, (6, 5))])
     assert torch.autograd.gradcheck(lambda x: level(points, x, groups), (features,))
-
-
-def test_the_loss_is_cross_entropy():
-    logits, correct = torch.tensor([[2.0, 0, 1], [0, 3, 0]]), torch.tensor([2, 1])
-    angles = torch.tensor([[0.3, 0.2, 0.0], [0.1, 0.0, 0.4]])
-    plain = -logits.log_softmax(1)[[0, 1], correct]
-    torch.testing.assert_close(rotation_loss(logits, correct, angles, TOY), plain)
 
 
 def test_a_gaussian_of_the_angle_minimises_the_loss_of_a_spread_target():

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from torch import nn
 
 from baselines.training import loop
-from baselines.training.batches import TrainingSet, train_batches
+from baselines.training.batches import TrainingSet
 from baselines.training.loop import Batch, TrainConfig, read_checkpoint, train
 from kit1000.errors import InputError
 from kit1000.files import locked
@@ -188,19 +188,6 @@ def test_a_kill_while_files_are_written_changes_nothing(
 
 def test_workers_and_the_checkpoint_interval_change_nothing(tmp_path: Path, plain: Path) -> None:
     assert uninterrupted(replace(CONFIG, workers=2, checkpoint_every=5), tmp_path) == results(plain)
-
-
-def test_a_run_may_resume_with_other_workers(tmp_path: Path, plain: Path) -> None:
-    with pytest.raises(Killed):
-        train(Product(dies_at=5), CONFIG, tmp_path, device=CPU)
-    assert uninterrupted(replace(CONFIG, workers=1, time_limit_s=100.0), tmp_path) == results(plain)
-
-
-def test_an_example_depends_on_seed_step_and_index_alone() -> None:
-    task = Product()
-    batches = list(train_batches(task, 5, 4, range(2, 4), 0, CPU))
-    for step, batch in zip((2, 3), batches, strict=True):
-        assert batch["x"].tolist() == [task.example(stream(5, "train", step, i))["x"].tolist() for i in range(4)]
 
 
 def test_workers_that_are_spawned_get_no_network() -> None:

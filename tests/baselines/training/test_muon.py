@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from baselines.training.loop import TrainConfig, train
-from baselines.training.muon import ADAM_RATE, BETAS, EPSILON, RMS, Muon, orthogonalised
+from baselines.training.muon import ADAM_RATE, BETAS, EPSILON, Muon, orthogonalised
 from kit1000.rng import stream
 
 
@@ -21,15 +21,6 @@ def test_all_singular_values_come_near_to_one(shape: tuple[int, int]) -> None:
     values = torch.linalg.svdvals(orthogonalised(matrix, rounds=6).float())
     assert values.min() > 0.5
     assert values.max() < 1.4
-
-
-def test_a_step_of_muon_has_the_size_of_one_of_adam() -> None:
-    torch.manual_seed(1)
-    weight = torch.nn.Parameter(torch.randn(48, 16, 3, 3))
-    optimizer = Muon([{"params": [weight], "orthogonal": True, "weight_decay": 0.0}], 0.01)
-    before, weight.grad = weight.detach().clone(), torch.randn_like(weight)
-    optimizer.step()
-    assert float((weight.detach() - before).square().mean().sqrt()) / 0.01 == pytest.approx(RMS, rel=0.3)
 
 
 def test_its_other_parameters_are_stepped_by_adamw() -> None:

@@ -109,13 +109,6 @@ def test_seen_from_aside_the_move_is_in_the_other_frame() -> None:
     np.testing.assert_allclose(true[0].numpy(), move[[0, 2, 1]] * [1, 1, -1], atol=1e-4)
 
 
-def test_left_and_right_are_exchanged_twice_for_nothing() -> None:
-    patch, move = wide(1.0, -1.0, 2.0)
-    once, true = apply(patch, move, mirrored=np.array(True))
-    np.testing.assert_allclose(once[0].numpy(), apply(patch, move)[0][0].flip(2).numpy(), atol=2e-5)
-    np.testing.assert_array_equal(true[0].numpy(), move * [-1, 1, -1])
-
-
 def test_changes_are_drawn_and_those_of_validation_are_none() -> None:
     drawn = [drawn_changes(np.random.default_rng(seed)) for seed in range(200)]
     assert 0.35 < np.mean([each["mirrored"] for each in drawn]) < 0.65

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import io
 import json
-import os
-import pickle
 import shutil
 import struct
 import time
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
@@ -19,7 +16,6 @@ import jsonschema
 import numpy as np
 import pytest
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
-from hypothesis import HealthCheck, given, settings
 from mcap.reader import make_reader
 from mcap.records import Chunk, McapRecord
 from mcap.stream_reader import breakup_chunk
@@ -47,7 +43,6 @@ from tests.samples.recorded import (
     write,
     write_truth,
 )
-from tests.samples.strategies import poses
 
 
 @pytest.fixture
@@ -82,15 +77,6 @@ def test_views_of_extra_cameras_come_back_in_order(tmp_path: Path) -> None:
     assert file.view_keys("test-s0000")[:3] == ("three/0/ideal", "three/0/d415", "three/1/ideal")
     assert same(file.observation("test-s0000"), extra_views())
     assert file.labels("test-s0000") is None
-
-
-@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(poses(), poses())
-def test_poses_come_back_to_the_bit(tmp_path: Path, camera_pose: Pose, guess: Pose) -> None:
-    scene = replace(
-        observation(pose=camera_pose), queries=(query("test-s0000", 0, guess), query("test-s0000", 1, None))
-    )
-    assert same(ObservationFile(write(tmp_path / "pose.mcap", [scene])).observation("test-s0000"), scene)
 
 
 def sorted_json(*rows: Any) -> str:
@@ -357,22 +343,6 @@ def test_images_stay_valid_when_their_chunk_leaves_the_cache(large: Path, tmp_pa
     assert len([other.view(scene_id) for scene_id in other.scene_ids]) > reading.RECENT
     for k in range(5):
         assert depths[f"test-s{k:04d}"].tobytes() == observation(k, BIG).views["ideal"].depth.tobytes()
-
-
-def test_a_file_can_be_used_in_other_processes_and_threads(large: Path) -> None:
-    file = ObservationFile(large)
-    wanted = file.view("test-s0001").depth.tobytes()
-    copy = pickle.loads(pickle.dumps(file))
-    assert copy.view("test-s0001").depth.tobytes() == wanted
-    child = os.fork()
-    if child == 0:
-        os._exit(0 if file.view("test-s0001", "d415").depth.any() and file.queries("test-s0004") else 1)
-    file.view("test-s0003", "d415")
-    assert os.waitpid(child, 0)[1] == 0
-    with ThreadPoolExecutor(4) as threads:
-        k = [i % 5 for i in range(40)]
-        found = list(threads.map(lambda i: file.view(f"test-s{i:04d}", "d415").depth.tobytes(), k))
-    assert found == [observation(i, BIG).views["d415"].depth.tobytes() for i in k]
 
 
 def test_a_file_of_data_2_0_0_with_a_chunk_for_each_scene_is_read_alike(

@@ -81,15 +81,6 @@ def test_the_frame_looks_away_from_the_camera_and_stands_on_the_table() -> None:
     np.testing.assert_allclose(part.grid.world((np.array(SHAPE) - 1) / 2)[:2], (low + high)[:2] / 2, atol=6e-3)
 
 
-def test_a_lifted_table_lifts_the_grid_and_nothing_else() -> None:
-    image = image_of(Pose.identity())
-    up = Pose.from_translation((0, 0, 0.013))
-    lifted = LabelledDepth(replace(image.view, world_from_camera=up @ EYE), image.labels)
-    here, there = evidence(image), evidence(lifted, table_height=0.013)
-    np.testing.assert_array_equal(here.codes, there.codes)
-    np.testing.assert_allclose(there.grid.centres() - here.grid.centres(), np.broadcast_to((0, 0, 0.013), (*SHAPE, 3)))
-
-
 def test_what_a_neighbour_hides_is_unknown_and_a_table_without_return_is_free() -> None:
     alone, neighbour = Pose.identity(), Pose.from_translation((0.045, 0.012, 0))
     free, hidden = evidence(image_of(alone)), evidence(image_of(alone, neighbour))
