@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
-from typing import Generic, NamedTuple, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 
 from kit1000.dataset.reader import Dataset
 from kit1000.values import Query
 
-Key = TypeVar("Key", bound=NamedTuple)
+Key = TypeVar("Key", bound=Hashable)
 Example = dict[str, np.ndarray]
 
 

@@ -48,15 +48,11 @@ def test_wilson_agrees_with_scipy(n: int, share: float) -> None:
     np.testing.assert_allclose(wilson_interval(k / n, n), (theirs.low, theirs.high), atol=1e-12)
 
 
-def test_without_a_trial_every_rate_is_possible() -> None:
-    assert wilson_interval(0, 0) == (0.0, 1.0)
-    assert rate_interval([], [[]]) == (0.0, 1.0)
-
-
-@pytest.mark.parametrize(("share", "n"), [(-0.1, 5), (1.1, 5), (np.nan, 5), (0, -1)])
-def test_impossible_shares_are_refused(share: float, n: float) -> None:
-    with pytest.raises(InputError, match="expected a share of 0 to 1 in 0 trials or more"):
-        wilson_interval(share, n)
+def test_without_a_trial_every_rate_is_possible_and_impossible_shares_are_refused() -> None:
+    assert wilson_interval(0, 0) == rate_interval([], [[]]) == (0.0, 1.0)
+    for share, n in ((-0.1, 5), (1.1, 5), (np.nan, 5), (0, -1)):
+        with pytest.raises(InputError, match="expected a share of 0 to 1 in 0 trials or more"):
+            wilson_interval(share, n)
 
 
 @given(st.integers(2, 60).flatmap(lambda n: st.lists(st.booleans(), min_size=n, max_size=n)))
@@ -368,9 +364,6 @@ def test_tracks_are_those_in_common_and_curves_are_none() -> None:
     b = scored(concatenate(rows(10), rows(10, "snap-tilt"), rows(10, "place"), rows(10, "curves")))
     assert list(compare(a, b).tracks) == ["snap", "place"]
     assert list(compare(a, b, ["place"]).tracks) == ["place"]
-
-
-def test_a_track_that_one_of_them_lacks_is_refused_with_the_common_ones() -> None:
     a, b = scored(rows(10)), scored(concatenate(rows(10), rows(10, "place")))
     with pytest.raises(InputError, match="track 'place': A and B both have snap"):
         compare(a, b, ["place"])
@@ -378,13 +371,10 @@ def test_a_track_that_one_of_them_lacks_is_refused_with_the_common_ones() -> Non
         compare(a, scored(rows(10, "place")))
 
 
-@pytest.mark.parametrize("key", ["dataset_id", "protocol", "split"])
-def test_scores_of_different_settings_are_refused(key: str) -> None:
-    with pytest.raises(InputError, match=f"{key} is .* of A, other of B"):
-        compare(scored(rows(10)), scored(rows(10), **{key: "other"}))
-
-
-def test_rows_of_different_queries_are_refused() -> None:
+def test_scores_of_different_settings_or_queries_are_refused() -> None:
+    for key in ("dataset_id", "protocol", "split"):
+        with pytest.raises(InputError, match=f"{key} is .* of A, other of B"):
+            compare(scored(rows(10)), scored(rows(10), **{key: "other"}))
     with pytest.raises(InputError, match="different queries"):
         compare(scored(rows(10)), scored(rows(12)))
 

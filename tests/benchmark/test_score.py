@@ -97,9 +97,6 @@ def test_the_ground_truth_scores_perfectly(perfect_score: Scores) -> None:
         assert row["seated"]["rate"] == row["seated_strict"]["rate"] == 1
         assert row["beyond"]["rate"] == 0
         assert row["seconds"] == {"mean": SECONDS, "median": SECONDS, "ci95": [SECONDS, SECONDS]}
-
-
-def test_the_curves_of_the_ground_truth_are_flat(perfect_score: Scores) -> None:
     curves = perfect_score.summary["curves"]
     assert {kind: sum(row["n"] for row in rows) for kind, rows in curves.items()} == {"position": 24, "rotation": 24}
     assert all(row["p80"] <= 1e-9 for rows in curves.values() for row in rows)
@@ -228,9 +225,6 @@ def test_groups_are_by_properties_of_the_queries(seating_results: None) -> None:
 
 def test_a_bin_holds_its_lower_end() -> None:
     assert binned(np.array([0.0, 4.999, 5.0, 15.0, 80.0]), (0, 5, 15)).tolist() == ["0-5", "0-5", "5-15", "15+", "15+"]
-
-
-def test_a_histogram_counts_between_its_edges() -> None:
     assert histogram(np.array([0.0, 0.5, 1.0, 99.0]), (0, 1, 2)) == {"edges": [0, 1, 2, None], "counts": [2, 1, 1]}
     assert histogram(np.array([0.0, np.nan]), (0, 1)) is None
 
@@ -277,13 +271,10 @@ def test_only_the_tracks_of_the_manifest_are_scored(perfect: Submission, data: D
         score(nothing, data)
 
 
-def test_another_dataset_is_refused(perfect: Submission, data: Dataset) -> None:
+def test_another_dataset_and_unknown_queries_are_refused(perfect: Submission, data: Dataset) -> None:
     other = replace(perfect, manifest=manifest("0123456789abcdef"))
     with pytest.raises(InputError, match=f"predictions for dataset 0123456789abcdef, and .* is {data.id}"):
         score(other, data)
-
-
-def test_predictions_for_unknown_queries_are_refused(perfect: Submission, data: Dataset) -> None:
     ids = [*perfect.predictions.query_ids[:-1], "test-s0099-p0-snap"]
     odd = predictions(ids, list(perfect.predictions.motions))
     with pytest.raises(InputError, match=r"test-s0099-p0-snap is not in .*kit1000 check "):
@@ -409,18 +400,9 @@ def with_field(field: str, value: str) -> Callable[[str], str]:
 
 INVALID: dict[str, tuple[Callable[[str], str], str]] = {
     "not a number": (with_field("qw", "nan"), "not-a-number"),
-    "overflow": (with_field("z", "1e999"), "not-a-number"),
-    "unknown confidence": (with_field("confidence", "high"), "not-a-number"),
-    "a control character": (lambda line: line + "\x01", "not-a-number"),
     "long quaternion": (with_field("qw", "3"), "quaternion-norm"),
-    "far away": (with_field("x", "1e12"), "position-range"),
-    "percent": (with_field("confidence", "90"), "confidence-range"),
-    "negative seconds": (with_field("seconds", "-7"), "seconds-range"),
     "no id": (with_field("query_id", ""), "invalid-id"),
-    "a comment": (lambda line: "# " + line, "invalid-id"),
     "too short": (lambda line: line.rpartition(",")[0], "fields"),
-    "too long": (lambda line: line + ",7", "fields"),
-    "an open quote": (lambda line: '"' + line, "fields"),
 }
 
 
@@ -457,9 +439,7 @@ def other_dataset(folder: Path) -> None:
 
 
 FORM: dict[str, tuple[Callable[[Path], object], str]] = {
-    "no header": (replaced(",".join(HEADER) + "\n", ""), "query_id,qw,qx,qy,qz"),
     "a duplicate": (duplicate, "line 2 has the same id"),
-    "another file": (lambda folder: (folder / "predictions.csv").write_bytes(b"PK\x03\x04"), "query_id,qw,qx,qy,qz"),
     "semicolons": (replaced(",", ";"), "query_id,qw,qx,qy,qz"),
     "an unknown id": (
         lambda folder: edit(folder, 2, with_field("query_id", "test-s7777-p0-snap")),

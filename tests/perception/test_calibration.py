@@ -150,12 +150,6 @@ def test_dropouts_at_an_edge_do_not_move_it(corner: LabelledDepth) -> None:
     assert np.abs(moved).max() < 3e-4
 
 
-def test_an_edge_seen_from_outside_is_not_used() -> None:
-    """There the side of the table continues below the edge."""
-    image = rendered(OUTSIDE)
-    assert OUTLINE[0] not in [edge.border for edge in seen_borders(image.view, image.labels)]
-
-
 def test_a_body_in_front_of_an_edge_hides_that_piece(corner: LabelledDepth) -> None:
     labels = corner.labels.copy()
     labels[:, 300:900] = 1
@@ -264,19 +258,6 @@ def test_the_spread_of_a_motion_is_that_of_the_errors_left(
     ratio = np.sqrt(errors_squared.mean() / np.mean(spreads**2))
     assert (0.5 if borders else 0.8) < ratio < 1.2
     assert np.ptp(spreads) < 0.05 * spreads.mean()  # it depends on what is seen, hardly on the error
-
-
-def test_edges_leave_less_of_a_motion_open_and_no_motion_nothing(corner: LabelledDepth, middle: LabelledDepth) -> None:
-    for image, pose in ((corner, CORNER), (middle, MIDDLE)):
-        motion, point = motion_over(pose, np.array((0.3, 0.2, 1.5)))
-        plane, outline = (
-            camera_estimate(image.view, image.labels, borders, PLANE_REACH, BENT).spread_of(motion, point)
-            for borders in ((), OUTLINE)
-        )
-        assert outline < 0.8 * plane if image is corner else outline == plane
-        unseen = CameraEstimate(image.view, np.eye(7)).spread_of(motion, point)
-        assert plane < unseen
-        assert CameraEstimate(image.view, np.eye(7)).spread_of(Pose.identity(), point) == 0
 
 
 def test_the_spread_of_a_motion_moves_with_the_world(corner: LabelledDepth) -> None:

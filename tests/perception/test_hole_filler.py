@@ -124,7 +124,7 @@ def test_examples_count_holes_alone_and_tell_their_true_depth(mini: Path, exact:
     assert len(crops) == CROPS
     assert all(crop["counts"].any() for crop in crops)
     keys = task.validation_keys()
-    assert {key.scene_id for key in keys} <= set(dataset.split("val").scene_ids)
+    assert {*keys} <= set(dataset.split("val").scene_ids)
 
 
 def test_the_loss_reads_nothing_but_holes(mini: Path) -> None:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.ndimage import find_objects
 
 from baselines.training.tasks.noisy_images import WIDER, noisy_view
-from baselines.training.tasks.restoration import CROPS, beside_jumps, recorded_example, restoration_task
+from baselines.training.tasks.restoration import beside_jumps, recorded_example, restoration_task
 from kit1000.dataset.reader import Dataset
 from kit1000.perception.restoration.disparity import (
     STARTS,
@@ -155,19 +155,6 @@ def test_only_the_labels_asked_for_change(noisy: LabelledDepth) -> None:
     assert (there[kits] != closed[kits]).mean() > 0.99
     nothing = LabelledDepth(noisy.view, np.zeros_like(noisy.labels))
     assert Restorer(untrained())(nothing, D415, [ASSEMBLY_LABEL]).view.depth.shape == noisy.view.depth.shape
-
-
-def test_fresh_views_are_the_same_whoever_makes_them(mini: Path) -> None:
-    task = restoration_task(Dataset(mini), "small")
-    again = restoration_task(Dataset(mini), "small")
-    for index in (0, CROPS - 1, 3 * CROPS):
-        crop, same = task.training[index], again.training[index]
-        assert all(np.array_equal(crop[name], same[name]) for name in crop)
-        wrong = np.abs(crop["disparity"] - crop["truth"])[crop["labels"] > 0]
-        assert 0.01 < np.median(wrong) < 0.6
-    assert len(task.training) == CROPS * 3000
-    with pytest.raises(IndexError):
-        task.training[len(task.training)]
 
 
 def test_the_truth_measures_zero_and_is_the_likeliest(mini: Path) -> None:

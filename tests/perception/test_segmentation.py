@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from scipy.ndimage import label
 
 from baselines.catalog import all_methods, method_of, run_config
-from baselines.training.tasks.segmentation import CROPS, CentresTask, centres_task
+from baselines.training.tasks.segmentation import CentresTask, centres_task
 from kit1000.camera import Camera, look_at
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
@@ -289,17 +289,6 @@ def test_a_scene_of_another_size_looks_alike_from_a_distance_in_proportion(mini:
     table = bodies.view.depth > 0
     table &= ~bodies.kits & ~bodies.parts
     assert np.abs(one["restored"][table]).max() < 1.0
-
-
-def test_fresh_views_are_the_same_whoever_makes_them(mini: Path, task: CentresTask) -> None:
-    again = centres_task(Dataset(mini), "small", UNMASKED)
-    for index in (0, CROPS - 1, CROPS):
-        crop, same = task.training[index], again.training[index]
-        assert all(np.array_equal(crop[name], same[name]) for name in crop)
-        assert not crop["across"][~crop["part"]].any()
-    assert len(task.training) == CROPS * 2500
-    with pytest.raises(IndexError):
-        task.training[len(task.training)]
 
 
 def test_the_truth_measures_zero(task: CentresTask) -> None:

@@ -17,13 +17,12 @@ from kit1000.pose import Pose
 from kit1000.queries.guesses import MAX_ANGLE
 from kit1000.queries.motions import apply_error
 from kit1000.registration.geometry.faces import squared
-from kit1000.registration.method import MOST_TRIED, USUAL_CAMERA_SPREAD, FitSearch, PartRegistration
+from kit1000.registration.method import MOST_TRIED, FitSearch, PartRegistration
 from kit1000.registration.prepared_image import RestoredImage
 from kit1000.registration.rank import SAME_PLACE, Features, Fit, confidence, same_place, score_of, weights_of
 from kit1000.registration.search import DOWN, LIES, NEAR_GUESS, SLACK_ANGLE, Candidate, faces_down
 from kit1000.voxels import Grid, signed_distance
 from tests.samples.registration_cases import CASES, CLEARANCE, Case, case, cuboid, known_shape, perturbed, volume_of
-from tests.samples.registration_images import GAIN, image_of, moved
 from tests.samples.shapes import box, standing
 
 
@@ -126,35 +125,6 @@ def test_confidence_rises_with_the_score_and_falls_with_that_of_a_rival(own: flo
     assert confidence(low, [low, twin, other]) == confidence(low, [low, other])
     shares = [confidence(fit, [low, other]) for fit in (low, other)]
     assert sum(shares) == pytest.approx(1 - 1 / (1 + np.exp(own) + np.exp(rival)), abs=1e-8)
-
-
-def test_an_uncertain_camera_lowers_the_score_of_a_restored_image() -> None:
-    known = case("a keyed block")
-    right = known.candidate(known.goal)
-
-    def score(spread: float | None) -> float:
-        part: Any = part_of(known, RESTORED)
-        part.camera = None if spread is None else SimpleNamespace(spread_of=lambda motion, point: spread)
-        return part.fitted(right).score
-
-    assert score(None) == pytest.approx(score(USUAL_CAMERA_SPREAD))
-    weight = weights_of("restored")["volume"]["camera"]
-    assert score(USUAL_CAMERA_SPREAD + 1e-3) == pytest.approx(score(None) + weight) != score(None)
-
-
-def test_a_fit_that_the_image_shows_worse_than_the_best_scores_lower() -> None:
-    known = case("an L")
-    shown = image_of("an L", noise_px=0.3)
-    part = part_of(known, RESTORED, RestoredImage(shown, shown, GAIN * RESTORED.refinement.noise_px))
-    fits = [part_of(known).fitted(moved(known, *move)) for move in ((0, 0, 0), (8, 8, 40))]
-    assert part_of(known, IDEAL, part.image).in_image(fits) == fits
-    right, wrong = part.in_image(fits)
-    assert right.features.misfit == 0
-    assert wrong.features.misfit is not None
-    assert wrong.features.misfit > 0.05
-    assert wrong.score < right.score - 1
-    assert [each.features[:4] for each in (right, wrong)] == [each.features[:4] for each in fits]
-    assert part.in_image(fits[1:])[0].features.misfit == 0
 
 
 def test_goals_in_restored_images_are_raised_and_exact_ones_are_not() -> None:

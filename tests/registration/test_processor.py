@@ -16,8 +16,6 @@ from bench.outside.portable import OLD_PROCESSOR
 from kit1000.numerics.elimination import solve_positive
 from kit1000.pose import Pose
 from kit1000.registration.geometry.sweeps import rotation_matrix
-from kit1000.registration.search import YAW_STEP, OrientedPart, correlate
-from kit1000.voxels import Grid, Volume
 from tests.samples.checkout import ROOT
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -123,21 +121,3 @@ def test_rodrigues_vectors_are_rotations_and_nearly_rotation_vectors(seed: int, 
     rotation = rotation_matrix(np.append(vector, np.zeros(3)))
     np.testing.assert_allclose(rotation, Pose(np.append(1.0, vector / 2), np.zeros(3)).rotation_matrix(), atol=1e-15)
     np.testing.assert_allclose(rotation, Pose.from_rotvec(vector).rotation_matrix(), atol=1e-12 + size**3 / 2)
-
-
-@given(SEEDS)
-def test_correlations_multiply_by_the_conjugate(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    a, b, c, d = rng.normal(size=(4, 4, 3)) + 1j * rng.normal(size=(4, 4, 3))
-    product = np.empty_like(a)
-    correlate(a, b, c, d, product)
-    np.testing.assert_allclose(product, a * b.conj() - c * d.conj(), rtol=1e-12, atol=1e-12)
-
-
-@pytest.mark.parametrize("down", [(0.0, 0.0, -1.0), (0.6, 0.0, -0.8), (0.0, 0.0, 1.0)])
-def test_yaws_turn_the_lower_face_in_equal_steps(down: tuple[float, float, float]) -> None:
-    grid = Grid.centred(Pose.identity(), (2, 2, 2), 1e-3)
-    oriented = OrientedPart(Volume(grid, np.ones(grid.shape, np.float32)), np.zeros(3), np.array(down))
-    np.testing.assert_allclose(oriented.rotations.rotate(np.array(down)), [(0, 0, -1)] * 60, atol=1e-11)
-    steps = oriented.rotations[1:] @ oriented.rotations[:-1].inverse()
-    np.testing.assert_allclose(steps.rotvec(), [(0, 0, YAW_STEP)] * 59, atol=1e-11)

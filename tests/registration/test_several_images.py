@@ -7,14 +7,11 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from numpy.typing import ArrayLike
 
 from kit1000.pose import Pose, random_quaternions
 from kit1000.registration.rank import COMPANY, DISAGREEMENT, NEAR, Fit, agreed, difference, mean_motion
 from kit1000.registration.search import Candidate
-from tests.samples.strategies import poses
 
 MIDDLE = np.array([0.05, -0.17, 0.02])
 DOWN = np.array([0.0, 0.0, -1.0])
@@ -37,16 +34,6 @@ def fit(motion: Pose, score: float = 1.0) -> Fit:
     cavity: Any = SimpleNamespace(world_from_plate=Pose.identity())
     shape: Any = SimpleNamespace(gap=lambda one, other: difference(one, other, MIDDLE))
     return Fit(motion, score, Candidate(cavity, motion, DOWN, 0.1), shape, cast(Any, None))
-
-
-@given(poses(), st.lists(poses(), min_size=1, max_size=4))
-def test_the_mean_moves_with_the_world(world: Pose, motions: list[Pose]) -> None:
-    near = [about(motions[0], 1e-3 * each.xyz, 0.1 * each.wxyz[1:]) for each in motions]
-    weights = [1.0 + k for k in range(len(near))]
-    mean = mean_motion(near, weights, MIDDLE)
-    there = mean_motion([world @ each @ world.inverse() for each in near], weights, world.apply(MIDDLE))
-    back = world.inverse() @ there @ world
-    assert difference(mean, back, MIDDLE) < 1e-9 * (1 + float(np.abs(world.xyz).max()))
 
 
 def test_the_mean_halves_what_two_fits_are_off() -> None:

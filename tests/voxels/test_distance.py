@@ -143,14 +143,6 @@ def test_without_bodies_all_voxels_are_free() -> None:
     assert (signed_distance(Grid((3, 3, 3), 1.0, IDENTITY), []).values == 1).all()
 
 
-@given(move=poses())
-@settings(max_examples=10)
-def test_moving_the_world_changes_no_value(move: Pose) -> None:
-    grid, mesh = Grid.centred(Pose.from_rotvec((0.3, 0.2, 0.1)), (32, 32, 32), 1.3e-3), solid(3)
-    still, moved = signed_distance(grid, [(mesh, IDENTITY)]), signed_distance(grid.moved(move), [(mesh, move)])
-    np.testing.assert_allclose(moved.values, still.values, atol=1e-5)
-
-
 def test_a_body_may_extend_far_beyond_the_grid() -> None:
     mesh = cuboid(2.0, 3.0, 0.04)
     grid = Grid.centred(Pose.from_translation((0.5, 0.5, 0.02)), (20, 20, 20), 1e-3)

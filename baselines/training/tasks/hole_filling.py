@@ -55,7 +55,7 @@ def example_of(image: LabelledDepth, depth: np.ndarray) -> Example:
 class HoleFillingTask(MixtureTask[HoleViews]):
     """Fill the holes of a crop of one image, calibrated by the table."""
 
-    def recorded(self, scene_id: str) -> Recorded:
+    def whole(self, scene_id: str) -> Recorded:
         """About the slot of the drawn target."""
         scene = self.dataset.split(self.split, truth=True).scene(scene_id)
         target = next(query for query in scene.queries if query.drawn)

@@ -14,7 +14,7 @@ from scipy.ndimage import maximum_filter
 from torch import Tensor
 
 from baselines.training.tasks.noisy_images import noisy_view
-from baselines.training.validation import drawn_targets
+from baselines.training.validation import RecordedTask, drawn_targets
 from kit1000.dataset.reader import Dataset
 from kit1000.perception.restoration.disparity import (
     Box,
@@ -157,14 +157,6 @@ def body_pixel(labels: np.ndarray, kits_share: float, rng: np.random.Generator) 
 Views = TypeVar("Views", bound=ViewCrops)
 
 
-class Key(NamedTuple):
-    """A validation example: a crop about a pixel of a recorded image."""
-
-    scene_id: str
-    row: int
-    column: int
-
-
 class Recorded(NamedTuple):
     """What a recorded scene gives to a task."""
 
@@ -176,42 +168,31 @@ class Recorded(NamedTuple):
 
 
 @dataclass
-class CropTask(ABC, Generic[Views]):
+class CropTask(RecordedTask[str], Generic[Views]):
     """Its examples; a task adds its network, loss and measures."""
 
     training: Views
     dataset: Dataset
     split: str
-    kept: dict[Key, Example] = field(default_factory=dict, kw_only=True)
-    """The validation examples that are made already: an image takes longer to read than to measure."""
 
     @abstractmethod
-    def recorded(self, scene_id: str) -> Recorded:
+    def whole(self, scene_id: str) -> Recorded:
         """A scene as the d415 recorded it."""
 
     def example(self, rng: np.random.Generator) -> Example:
         """One of the crops of fresh views."""
         return self.training[int(rng.integers(len(self.training)))]
 
-    def validation_keys(self) -> Sequence[Key]:
-        """A crop of each of VALIDATION_SCENES scenes."""
-        if not self.kept:
-            targets = drawn_targets(self.dataset, self.split, VALIDATION_SCENES)
-            for scene_id in dict.fromkeys(query.scene_id for query, _ in targets):
-                self._keep(scene_id)
-        return list(self.kept)
+    def validation_keys(self) -> Sequence[str]:
+        """Ids of VALIDATION_SCENES scenes."""
+        targets = drawn_targets(self.dataset, self.split, VALIDATION_SCENES)
+        return list(dict.fromkeys(query.scene_id for query, _ in targets))
 
-    def validation_example(self, key: Key) -> Example:
-        """The crop."""
-        if key not in self.kept:
-            self._keep(key.scene_id)
-        return self.kept[key]
-
-    def _keep(self, scene_id: str) -> None:
-        """Make the example of a scene."""
-        view, place, whole = self.recorded(scene_id)
+    def recorded(self, key: str) -> Example:
+        """A crop of a scene."""
+        view, place, whole = self.whole(key)
         column, row = np.rint(view.camera.project(view.world_from_camera.inverse().apply(place))).astype(int).tolist()
-        self.kept[Key(scene_id, row, column)] = cropped_inputs(whole, box_about(row, column))
+        return cropped_inputs(whole, box_about(row, column))
 
 
 @dataclass
@@ -234,7 +215,7 @@ class MixtureTask(CropTask[Views]):
 class RestorationTask(MixtureTask[SceneViews]):
     """Restore a crop of one image, calibrated by the table."""
 
-    def recorded(self, scene_id: str) -> Recorded:
+    def whole(self, scene_id: str) -> Recorded:
         """About the slot of the drawn target; without masks, about the part."""
         scene = self.dataset.split(self.split, truth=True).scene(scene_id)
         target = next(query for query in scene.queries if query.drawn)

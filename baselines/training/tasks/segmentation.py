@@ -80,7 +80,7 @@ class CentresTask(CropTask[PartViews]):
 
     model: CentresNet
 
-    def recorded(self, scene_id: str) -> Recorded:
+    def whole(self, scene_id: str) -> Recorded:
         """About the drawn part."""
         scene = self.dataset.split(self.split).scene(scene_id)
         pivot = next(query for query in scene.queries if query.drawn).pivot

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import shutil
 import struct
 import time
 from dataclasses import replace
@@ -334,15 +333,6 @@ def test_only_the_requested_messages_are_read(large: Path, bytes_read: list[int]
     assert len(bytes_read) == 2
     file.observation("test-s0003")
     assert sum(bytes_read) <= scene
-
-
-def test_images_stay_valid_when_their_chunk_leaves_the_cache(large: Path, tmp_path: Path) -> None:
-    file = ObservationFile(large)
-    depths = {scene_id: file.view(scene_id).depth for scene_id in file.scene_ids}
-    other = ObservationFile(Path(shutil.copy(large, tmp_path / "other.mcap")))
-    assert len([other.view(scene_id) for scene_id in other.scene_ids]) > reading.RECENT
-    for k in range(5):
-        assert depths[f"test-s{k:04d}"].tobytes() == observation(k, BIG).views["ideal"].depth.tobytes()
 
 
 def test_a_file_of_data_2_0_0_with_a_chunk_for_each_scene_is_read_alike(
