@@ -116,8 +116,10 @@ class FitSearch:
 
     def all_fits(self) -> list[Fit]:
         """The fits of the first candidates, of more if the best fit is doubtful; the best are refined in the image."""
-        self._refine_first()
-        self._refine_more()
+        candidates = self._refine_first()
+        tries = tries_of(self.part.shape.half_width, self._first, MOST_TRIED)
+        while self._tried < len(candidates[:tries]) and best_score(self.fits) < self.part.refinement.doubtful:
+            self._add_fit(candidates[self._tried])
         best = self._within_guess()
         in_image = [*self.part.in_image(best[:IN_IMAGE]), *best[IN_IMAGE:]]
         return ranked(map(self.part.raised, in_image))
@@ -126,19 +128,13 @@ class FitSearch:
         """The fits that are as near to the guess as a goal is, the best first."""
         return ranked(fit for fit in self.fits if within_guess_error(fit.goal_from_now, self.part.query))
 
-    def _refine_first(self) -> None:
-        """Refine the first candidates."""
+    def _refine_first(self) -> list[Candidate]:
+        """Refine the first candidates; returns all of them."""
         if self._candidates is None:
             self._candidates = self.part.candidates()
         for candidate in self._candidates[self._tried : self._first]:
             self._add_fit(candidate)
-
-    def _refine_more(self) -> None:
-        """Refine more candidates as long as the best fit is doubtful."""
-        assert self._candidates is not None
-        tries = tries_of(self.part.shape.half_width, self._first, MOST_TRIED)
-        while self._tried < len(self._candidates[:tries]) and best_score(self.fits) < self.part.refinement.doubtful:
-            self._add_fit(self._candidates[self._tried])
+        return self._candidates
 
     def _add_fit(self, candidate: Candidate) -> None:
         """Add the fit of a candidate, unless it converges to a known goal or leaves the guess's range.

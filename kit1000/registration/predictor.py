@@ -6,23 +6,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.perception.image_kinds import ImageKind
-from kit1000.perception.sensor_facts import SensorFacts, sensor_of
+from kit1000.perception.sensor_facts import sensor_of
 from kit1000.pose import Pose
 from kit1000.predictor import PredictedMotion
 from kit1000.registration.method import Scene, TrueScene, fits_in
 from kit1000.registration.prepared_image import Networks, PreparedImage
 from kit1000.registration.rank import Fit, agreed, confidence, from_elsewhere
 from kit1000.values import Query, TrueGeometry
-
-if TYPE_CHECKING:
-    from kit1000.perception.completion.parts import PartCompleter
-    from kit1000.perception.placement.network import Placer
-    from kit1000.perception.restoration.restorer import HoleFiller, Restorer
 
 SOURCES = ("depth", "columns", "truth")
 USUAL_CLEARANCES = (0.25e-3, 0.5e-3, 1e-3, 2.5e-3)  # [m] that are tried if the dataset states none
@@ -82,7 +77,7 @@ class Registration:
             if geometry is None:
                 raise InputError(f"{query.id}: registration from true volumes needs the true geometry")
             return TrueScene(query, geometry)
-        sensor = self._sensor(query)
+        sensor = sensor_of(self.dataset.summary, query.sensor, query.scene_id)
         return PreparedImage(query, sensor, self.networks(sensor.kind), filled_only=self.source == "columns")
 
     def networks(self, kind: ImageKind) -> Networks:
@@ -90,10 +85,10 @@ class Registration:
         completion = self.noisy_completion if kind.restores and self.noisy_completion else self.completion
         restoration = self.restoration if kind.restores else None
         return Networks(
-            completer=_part_completer(completion),
-            restorer=_restorer(restoration),
-            filler=_hole_filler(self.hole_filling if kind.fills_holes else None),
-            placer=_placer(self.placement if restoration else None),
+            completer=_network("completer", completion),
+            restorer=_network("restorer", restoration),
+            filler=_network("filler", self.hole_filling if kind.fills_holes else None),
+            placer=_network("placer", self.placement if restoration else None),
         )
 
     @cached_property
@@ -116,48 +111,17 @@ class Registration:
         """One of the fits, with its confidence."""
         return PredictedMotion(fit.goal_from_now, confidence(fit, fits))
 
-    def _sensor(self, query: Query) -> SensorFacts:
-        """The facts about the sensor of a query."""
-        return sensor_of(self.dataset.summary, query.sensor, query.scene_id)
 
-
-# Each network with the weights of a stem, None without one. Torch is loaded in these functions alone.
-
-
-@lru_cache(maxsize=2)
-def _part_completer(stem: Path | None) -> PartCompleter | None:
+@lru_cache(maxsize=8)
+def _network(use: str, stem: Path | None) -> Any:
+    """The network for a field of `Networks`, with the weights of a stem; None without one. It alone loads torch."""
     if stem is None:
         return None
     from kit1000.perception.completion.parts import PartCompleter
-
-    return PartCompleter(stem)
-
-
-@lru_cache(maxsize=2)
-def _restorer(stem: Path | None) -> Restorer | None:
-    if stem is None:
-        return None
-    from kit1000.perception.restoration.restorer import Restorer
-
-    return Restorer(stem)
-
-
-@lru_cache(maxsize=2)
-def _hole_filler(stem: Path | None) -> HoleFiller | None:
-    if stem is None:
-        return None
-    from kit1000.perception.restoration.restorer import HoleFiller
-
-    return HoleFiller(stem)
-
-
-@lru_cache(maxsize=2)
-def _placer(stem: Path | None) -> Placer | None:
-    if stem is None:
-        return None
     from kit1000.perception.placement.network import Placer
+    from kit1000.perception.restoration.restorer import HoleFiller, Restorer
 
-    return Placer(stem)
+    return {"completer": PartCompleter, "restorer": Restorer, "filler": HoleFiller, "placer": Placer}[use](stem)
 
 
 def stated_clearances(dataset: Dataset) -> tuple[float, ...]:

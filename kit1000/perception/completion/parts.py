@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -230,40 +230,13 @@ def completion_loss(logits: Tensor, codes: Tensor, solid: Tensor) -> Tensor:
         codes: (B, x, y, C) int8, packed; cells of code CODE do not count.
         solid: (B, x, y, C) uint8, packed: 255 times the filled shares.
     """
-    return _Loss.apply(logits, codes, solid)
-
-
-class _Loss(torch.autograd.Function):
-    """The loss with its gradient in closed form, one example at a time: all its arrays then stay in the cache."""
-
-    @staticmethod
-    def forward(ctx: Any, logits: Tensor, codes: Tensor, solid: Tensor) -> Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
-        gradient, total = torch.empty_like(logits), logits.new_zeros((), dtype=torch.float32)
-        for i in range(len(logits)):
-            loss, slope = _loss_of(logits[i].detach().float(), codes[i] < CODE, solid[i].float() / 255)
-            total += loss / len(logits)
-            gradient[i] = slope.div_(len(logits))
-        ctx.save_for_backward(gradient)
-        return total
-
-    @staticmethod
-    def backward(ctx: Any, above: Tensor) -> tuple[Tensor, None, None]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        (gradient,) = ctx.saved_tensors
-        return gradient * above.to(gradient.dtype), None, None
-
-
-def _loss_of(logits: Tensor, counts: Tensor, share: Tensor) -> tuple[Tensor, Tensor]:
-    """The loss of one example and its gradient by the logits; all of one shape, counts bool."""
-    weight = counts.to(logits.dtype)
-    share, cells = share * weight, weight.sum().clamp(min=1)
-    entropy = (F.softplus(logits) * weight).sum() - (logits * share).sum()
-    filled = torch.sigmoid(logits) * weight
-    both = (filled * share).sum()
-    union = (filled.sum() + share.sum() - both).clamp(min=1e-3)
-    slope = (filled - share).div_(cells)  # of the entropy
-    by_filled = share.mul_(1 / union + both / union**2).sub_(both / union**2)  # of both / union
-    slope.sub_(by_filled.mul_(filled).mul_(1 - filled), alpha=JACCARD)
-    return entropy / cells + JACCARD * (1 - both / union), slope
+    logits, counts = logits.float().flatten(1), (codes < CODE).flatten(1)
+    share = solid.flatten(1).float() / 255 * counts
+    entropy = (F.softplus(logits) * counts).sum(1) - (logits * share).sum(1)
+    filled = torch.sigmoid(logits) * counts
+    both = (filled * share).sum(1)
+    union = (filled.sum(1) + share.sum(1) - both).clamp(min=1e-3)
+    return (entropy / counts.sum(1).clamp(min=1) + JACCARD * (1 - both / union)).mean()
 
 
 @dataclass(frozen=True, eq=False)
