@@ -39,6 +39,7 @@ CAMERA_SCHEMAS = (
 )
 PACKED_HEADER = 12  # [bytes] of compressedDepth
 PNG = b"\x89PNG\r\n\x1a\n"
+ZSTD = b"\x28\xb5\x2f\xfd"
 LEAST_SHIFT = 0.5  # [px] between K and P, of which they are two matrices
 OTHER_IMAGERS = ("rgb", "color", "colour", "infra", "left", "right")
 """Words in the name of a calibration that is not that of depth, unless the depth topic has them too."""
@@ -70,6 +71,11 @@ class _Recording:
         self.file.seek(0)
         decoders = (ProtobufFactory(), Ros2Factory())
         reader = SeekingReader(self.file, decoder_factories=decoders, record_size_limit=MOST_RECORD)
+        if any(message.data.startswith(ZSTD) for _, _, message in islice(reader.iter_messages(topics=[topic]), 1)):
+            raise InputError(
+                f"{self.path} {topic}: each message is compressed, which is not read: record without "
+                "--compression-mode message, or convert it by `ros2 bag convert`"
+            )
         try:
             for found in reader.iter_decoded_messages(topics=[topic]):
                 yield found.decoded_message

@@ -189,6 +189,7 @@ WRONG = {  # by what is typed: facts of the answer
     "{image} --intrinsics {camera}": "camera.json|1280 x 720|640 x 480",
     "{tmp}/depht.png --intrinsics 1 2 3 4": "no such file|did you mean depth.png",
     "{tmp}/a.jpg --intrinsics 1 2 3 4": ".jpg is not read",
+    "{tmp}/a.mcap.zstd": ".zstd is not read|zstd -d",
     "{tmp}/pointers/0.png --intrinsics 1 2 3 4": "0.png|run git lfs pull",
     "{tmp}/pointers/0.mcap": "0.mcap|run git lfs pull",
     "{tmp} --intrinsics 1 2 3 4": "a folder without an MCAP file",
@@ -222,6 +223,7 @@ def test_wrong_input_is_one_line_and_nothing_is_written(
 ) -> None:
     place = image.parent
     (place / "a.jpg").touch()
+    (place / "a.mcap.zstd").touch()
     (place / "pointers").mkdir()
     for name in ("0.png", "0.mcap"):
         (place / "pointers" / name).write_bytes(b"version https://git-lfs.github.com/spec/v1\nsize 684\n")

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import zstandard
 from mcap.reader import make_reader
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
@@ -193,8 +194,19 @@ def test_other_encodings_are_named_and_not_called_damaged(tmp_path: Path, encodi
         read(tmp_path / "other.mcap")
 
 
+def test_messages_that_are_compressed_one_by_one_are_named(tmp_path: Path) -> None:
+    path = bag(tmp_path / "bag.mcap", CALIBRATED, (RECT, image()))
+    rewritten(path, tmp_path / "other.mcap", packed=zstandard.compress)
+    with pytest.raises(InputError, match="each message is compressed"):
+        read(tmp_path / "other.mcap")
+
+
 def rewritten(
-    source: Path, target: Path, message_encoding: str | None = None, schema_encoding: str | None = None
+    source: Path,
+    target: Path,
+    message_encoding: str | None = None,
+    schema_encoding: str | None = None,
+    packed: Callable[[bytes], bytes] = bytes,
 ) -> None:
     """Write the messages of a recording in another way."""
     with open(source, "rb") as file, open(target, "wb") as out:
@@ -207,5 +219,5 @@ def rewritten(
                 number = writer.register_schema(schema.name, schema_encoding or schema.encoding, schema.data)
                 encoding = message_encoding or channel.message_encoding
                 channels[channel.id] = writer.register_channel(channel.topic, encoding, number)
-            writer.add_message(channels[channel.id], message.log_time, message.data, message.publish_time)
+            writer.add_message(channels[channel.id], message.log_time, packed(message.data), message.publish_time)
         writer.finish()
