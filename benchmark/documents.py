@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from pathlib import Path
 
 from benchmark.entries import Entry, read_entries
@@ -27,6 +28,12 @@ MASKS = Column("masks", "masks")
 IDEAL = [name for name, track in TRACKS.items() if track.sensor == "ideal"]
 NOISY = [name for name in TRACKS if name not in IDEAL]
 WITH_GUESS = PAPER_TRACKS["with user input"]
+SHARES: dict[str, tuple[str, Sequence[str], bool]] = {
+    "seated": ("Parts seated", IDEAL, False),
+    "noisy": ("Parts seated on noisy depth", NOISY, False),
+    "known": ("Parts of known shape seated", list(TRACKS), True),
+}
+"""Tables of parts seated: the title, the tracks, and whether of methods that get the shapes of the scene."""
 
 
 def run(documents: Iterable[Path], results: Path, submissions: Path) -> list[Path]:
@@ -98,35 +105,18 @@ def score_table(name: str, entries: Sequence[Entry], words: Sequence[str]) -> Ta
     return TABLES[name](entries, list(words))
 
 
-def seated(entries: Sequence[Entry], words: Sequence[str]) -> Table:
-    """Share of parts seated on every track of ideal depth, one method a row."""
-    table = Table("seated", "Parts seated, in percent, by track", [*NAMES, *_tracks(IDEAL)])
-    return _with_shares(table, [entry for entry in chosen(entries, words) if not entry.knows_shapes], IDEAL)
-
-
-def noisy(entries: Sequence[Entry], words: Sequence[str]) -> Table:
-    """The same on noisy depth: first by masks that methods find, then by given ones."""
-    table = Table("noisy", "Parts seated on noisy depth, in percent, by track", [*NAMES, MASKS, *_tracks(NOISY)])
-    return _with_shares(table, [entry for entry in chosen(entries, words) if not entry.knows_shapes], NOISY)
-
-
-def known(entries: Sequence[Entry], words: Sequence[str]) -> Table:
-    """The same on all tracks, of methods that get the shapes of the scene."""
-    table = Table("known", "Parts of known shape seated, in percent, by track", [*NAMES, MASKS, *_tracks(TRACKS)])
-    return _with_shares(table, [entry for entry in chosen(entries, words) if entry.knows_shapes], TRACKS)
-
-
-def _tracks(tracks: Iterable[str]) -> list[Column]:
-    return [Column(track, f"`{track}`", 1, True) for track in tracks]
-
-
-def _with_shares(table: Table, entries: Sequence[Entry], tracks: Iterable[str]) -> Table:
-    """The table with a row for each entry on any of the tracks, those with given masks on noisy ones last."""
+def share_table(name: str, entries: Sequence[Entry], words: Sequence[str]) -> Table:
+    """The table `name` of SHARES: a row for each entry on any of its tracks, those with given masks last."""
+    title, tracks, knows_shapes = SHARES[name]
+    with_masks = [] if tracks is IDEAL else [MASKS]
+    shown = [Column(track, f"`{track}`", 1, True) for track in tracks]
+    table = Table(name, f"{title}, in percent, by track", [*NAMES, *with_masks, *shown])
     masks = {entry.name: next(filter(None, map(entry.masks, tracks)), "") for entry in entries}
-    for entry in sorted(entries, key=lambda entry: masks[entry.name] == ABLATION):
+    those = [entry for entry in chosen(entries, words) if entry.knows_shapes == knows_shapes]
+    for entry in sorted(those, key=lambda entry: masks[entry.name] == ABLATION):
         scored = entry.scores["tracks"]
         shares = {track: scored[track][SEATED.key] for track in tracks if track in scored}
-        named = _named(entry) | ({"masks": masks[entry.name]} if MASKS in table.columns else {})
+        named = _named(entry) | ({"masks": masks[entry.name]} if with_masks else {})
         if shares:
             table.add(**named, **shares)
     return table
@@ -157,9 +147,7 @@ def readme(entries: Sequence[Entry], words: Sequence[str]) -> Table:
 
 
 TABLES: dict[str, Callable[[Sequence[Entry], list[str]], Table]] = {
-    "seated": seated,
-    "noisy": noisy,
-    "known": known,
+    **{name: partial(share_table, name) for name in SHARES},
     "readme": readme,
 }
 

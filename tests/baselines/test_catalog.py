@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +24,6 @@ from kit1000.predictor import PredictedMotion, resolved
 from kit1000.queries.motions import error_of, goal_motion, goal_pose
 from kit1000.queries.tracks import ALL_TRACKS, GUESS_TRACKS
 from kit1000.sim.cameras import CAMERA, draw_primary_pose
-from kit1000.submission import Manifest
 from kit1000.testing import check_predictor
 from kit1000.values import Query, TrueGeometry, Truth, View
 from tests.samples.checkout import ROOT
@@ -246,12 +244,6 @@ def test_the_source_of_registration_covers_perception_and_predicted_masks() -> N
     found = imported_modules([entry], {"kit1000": ROOT / "kit1000"})
     assert {"kit1000.registration.search", "kit1000.perception.restoration.restorer"} <= set(found)
     assert source_hash(METHODS["registration"]) != source_hash(method_of("registration+predicted-masks"))
-
-
-def test_a_manifest_has_the_fields_of_a_method() -> None:
-    shared = {"description", "tracks", "uses_true_geometry", "learned", "control", "predicts", "training_data"}
-    shared |= {"label", "paper_row"}
-    assert shared <= {field.name for field in fields(Manifest)} & {field.name for field in fields(Method)}
 
 
 def test_the_list_loads_no_network() -> None:

@@ -205,15 +205,6 @@ def test_masks_of_another_size_are_refused(corner: LabelledDepth) -> None:
         calibrated(corner.view, corner.labels[1:])
 
 
-def test_two_runs_agree_to_the_bit_and_the_input_stays(corner: LabelledDepth) -> None:
-    measured = sense("d415", corner.view, stream(1, "noise"))
-    before = measured.depth.tobytes()
-    one, two = (calibrated(measured, corner.labels) for _ in range(2))
-    assert one.depth.tobytes() == two.depth.tobytes()
-    assert one.world_from_camera.xyz.tobytes() == two.world_from_camera.xyz.tobytes()
-    assert measured.depth.tobytes() == before
-
-
 def motion_over(pose: Pose, rotation: np.ndarray) -> tuple[Pose, np.ndarray]:
     """A motion from the middle of an image to a place beside it, and the point of the table that is moved."""
     ray = pose.rotate((0.05, 0.1, 1.0))

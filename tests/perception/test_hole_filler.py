@@ -11,8 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import laplace
 
-from baselines.training.tasks.hole_filling import CROPS, example_of, hole_filling_task
+from baselines.training.tasks.hole_filling import example_of, hole_filling_task
 from baselines.training.tasks.noisy_images import scanned_view
+from baselines.training.tasks.restoration import CROPS
 from kit1000.dataset.reader import Dataset
 from kit1000.perception.restoration.disparity import depths
 from kit1000.perception.restoration.restorer import (

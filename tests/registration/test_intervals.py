@@ -19,7 +19,6 @@ from kit1000.registration.refine import (
     MAX_RESIDUAL,
     IntervalProblem,
     clipped_rms,
-    distance_outside,
     floor_is_seen,
     refine_within,
     sweeps_of,
@@ -28,7 +27,6 @@ from kit1000.registration.search import MOST, TOLERANCE, KitHeights, contradicti
 from kit1000.voxels import Volume
 from tests.samples.registration_cases import CASES, CLEARANCE, Case, case, known_cavity, known_shape, perturbed
 
-NUMBERS = st.floats(-1, 1)
 SCALES = (4e-3, 2e-3, 1e-3, 0.5e-3)  # [m] of robust weights
 
 
@@ -137,13 +135,6 @@ def test_a_jump_behind_a_near_rim_is_no_certain_surface() -> None:
 
 
 # intervals
-
-
-@given(NUMBERS, NUMBERS)
-def test_the_distance_from_an_interval_is_0_where_it_holds_0(a: float, b: float) -> None:
-    low, high = min(a, b), max(a, b)
-    expected = low if low > 0 else high if high < 0 else 0.0
-    assert distance_outside(a, b) == distance_outside(b, a) == expected
 
 
 def test_the_envelope_from_a_start_is_the_envelope_above_it() -> None:

@@ -15,7 +15,7 @@ from kit1000.perception.completion.parts import CompletedPart, framed
 from kit1000.perception.observed.parts import HALF_WIDTH, ObservedPart
 from kit1000.pose import Pose, random_quaternions
 from kit1000.queries.guesses import MAX_OFFSET
-from kit1000.registration.geometry.height_maps import MARGIN, map_cells
+from kit1000.registration.geometry.height_maps import map_cells
 from kit1000.registration.geometry.sweeps import BEYOND, CELL, LAYER, REACH, Sweep, envelope_about
 from kit1000.registration.search import LEAST_SIDE, SLACK_OFFSET, plate_side
 from kit1000.sim.render import render
@@ -123,9 +123,3 @@ def test_a_plates_map_holds_the_cavity_wherever_a_guess_is(length: float, cleara
     farthest = np.abs(np.array([x, y])) * (MAX_OFFSET + SLACK_OFFSET) + corner
     assert side >= LEAST_SIDE
     assert (farthest <= side / 2 + VOXEL).all()
-
-
-def test_small_parts_have_the_images_of_their_volumes_and_a_margin() -> None:
-    part = cuboid((0.03, 0.02, 0.01))
-    half = max(part.grid.shape) * VOXEL / 2
-    assert map_cells(part, MARGIN / 2, CELL) == map_cells(part, MARGIN, CELL) == 2 * round((half + MARGIN) / CELL)

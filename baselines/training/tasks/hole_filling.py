@@ -8,20 +8,18 @@ import numpy as np
 
 from baselines.training.tasks.noisy_images import scanned_view
 from baselines.training.tasks.restoration import (
-    CROPS,
     Batch,
     Example,
     MixtureTask,
     Recorded,
     ViewCrops,
-    body_pixel,
-    box_about,
+    crops_of,
     fresh_image,
     mean_where,
 )
 from kit1000.dataset.reader import Dataset
 from kit1000.perception.restoration import calibrated_image
-from kit1000.perception.restoration.disparity import above_table, cropped_inputs
+from kit1000.perception.restoration.disparity import above_table
 from kit1000.perception.restoration.restorer import UNIT, RestorationConfig, RestorationNet, hole_inputs, holes
 from kit1000.perception.sensor_facts import simulated_sensor
 from kit1000.values import LabelledDepth
@@ -42,8 +40,7 @@ class HoleViews(ViewCrops):
         """About holes of the kits and of parts."""
         image, depth = fresh_image(self.dataset, rng, scanned_view)
         whole = example_of(image, depth)
-        places = [body_pixel(np.where(whole["counts"], image.labels, 0), KITS_SHARE, rng) for _ in range(CROPS)]
-        return [cropped_inputs(whole, box_about(*place)) for place in places]
+        return crops_of(whole, np.where(whole["counts"], image.labels, 0), KITS_SHARE, rng)
 
 
 def example_of(image: LabelledDepth, depth: np.ndarray) -> Example:

@@ -135,12 +135,8 @@ class KitViews:
     _kept: dict[int, Example] = field(default_factory=dict, repr=False, compare=False)
     _kits: dict[int, Kit] = field(default_factory=dict, repr=False, compare=False)
 
-    def __len__(self) -> int:
-        return self.count
-
-    def __getitem__(self, index: int) -> Example:
-        if not 0 <= index < self.count:
-            raise IndexError(index)
+    def view(self, index: int) -> Example:
+        """View number `index`."""
         if index not in self._kept:
             self._kept[index] = self._view(stream(self.seed, "kit-completion", index))
         return self._kept[index]
@@ -243,7 +239,7 @@ class KitCompletionTask(RecordedTask[Key]):
 
     def example(self, rng: np.random.Generator) -> Example:
         """One of the fresh views, or its mirror image."""
-        view = self.training[int(rng.integers(len(self.training)))]
+        view = self.training.view(int(rng.integers(self.training.count)))
         return mirrored(view) if rng.integers(2) else view
 
     def validation_keys(self) -> Sequence[Key]:

@@ -92,7 +92,7 @@ class DrawnPart:
 
 @dataclass(frozen=True)
 class DrawnParts:
-    """The first parts of a seed; a sequence."""
+    """The first parts of a seed."""
 
     seed: int
     count: int
@@ -104,8 +104,6 @@ class DrawnParts:
         return self.count
 
     def __getitem__(self, index: int) -> DrawnPart:
-        if not 0 <= index < self.count:
-            raise IndexError(index)
         number, place = divmod(index, SHARD)
         if number not in self._shards:
             made = Memory(self.folder, verbose=0).cache(drawn_shard)(self.seed, number)

@@ -65,13 +65,9 @@ class ViewCrops(ABC):
     """Number of views."""
     _kept: dict[int, list[Example]] = field(default_factory=dict, repr=False, compare=False)
 
-    def __len__(self) -> int:
-        return self.count * CROPS
-
-    def __getitem__(self, index: int) -> Example:
-        if not 0 <= index < len(self):
-            raise IndexError(index)
-        view, crop = divmod(index, CROPS)
+    def draw(self, rng: np.random.Generator) -> Example:
+        """One of the crops of all views."""
+        view, crop = divmod(int(rng.integers(self.count * CROPS)), CROPS)
         if view not in self._kept:
             self._kept[view] = self.crops(stream(self.seed, self.STREAM, view))
         return self._kept[view][crop]
@@ -92,9 +88,12 @@ class SceneViews(ViewCrops):
     def crops(self, rng: np.random.Generator) -> list[Example]:
         """About pixels of the kits and of parts."""
         image, depth = fresh_image(self.dataset, rng)
-        whole = example_of(image, depth, self.labelled)
-        places = [body_pixel(image.labels, KITS_SHARE[self.labelled], rng) for _ in range(CROPS)]
-        return [cropped_inputs(whole, box_about(*place)) for place in places]
+        return crops_of(example_of(image, depth, self.labelled), image.labels, KITS_SHARE[self.labelled], rng)
+
+
+def crops_of(whole: Example, labels: np.ndarray, kits_share: float, rng: np.random.Generator) -> list[Example]:
+    """CROPS crops of a whole image; that share of them is about a pixel of the kits, the others about one of a part."""
+    return [cropped_inputs(whole, box_about(*body_pixel(labels, kits_share, rng))) for _ in range(CROPS)]
 
 
 def fresh_image(
@@ -181,7 +180,7 @@ class CropTask(RecordedTask[str], Generic[Views]):
 
     def example(self, rng: np.random.Generator) -> Example:
         """One of the crops of fresh views."""
-        return self.training[int(rng.integers(len(self.training)))]
+        return self.training.draw(rng)
 
     def validation_keys(self) -> Sequence[str]:
         """Ids of VALIDATION_SCENES scenes."""

@@ -11,20 +11,17 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from baselines.training.tasks.restoration import (
-    CROPS,
     FACTS,
     SENSOR,
     CropTask,
     Example,
     Recorded,
     ViewCrops,
-    body_pixel,
-    box_about,
+    crops_of,
     fresh_image,
 )
 from kit1000.dataset.reader import Dataset
 from kit1000.perception.networks.unet import UNetConfig
-from kit1000.perception.restoration.disparity import cropped_inputs
 from kit1000.perception.restoration.restorer import Restorer
 from kit1000.perception.segmentation.instances import find_bodies
 from kit1000.perception.segmentation.part_finder import (
@@ -53,7 +50,7 @@ class PartViews(ViewCrops):
         """About pixels of parts, and some of the kits."""
         image, _ = fresh_image(self.dataset, rng)
         whole = _example(image.labels, image.view, self.restorer.without_masks(image.view, FACTS))
-        return [cropped_inputs(whole, box_about(*body_pixel(image.labels, KITS_SHARE, rng))) for _ in range(CROPS)]
+        return crops_of(whole, image.labels, KITS_SHARE, rng)
 
 
 def recorded_example(image: LabelledDepth, restorer: Restorer) -> Example:

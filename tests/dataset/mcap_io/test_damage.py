@@ -41,11 +41,6 @@ def test_an_observation_that_does_not_fit_is_refused(tmp_path: Path, case: str) 
         write(tmp_path / "a.mcap", [scene])
 
 
-def test_a_scene_is_recorded_once(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="test-s0000 is recorded twice"):
-        write(tmp_path / "a.mcap", [observation(), observation()])
-
-
 def test_models_of_unknown_bodies_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"models parts/x, expected"):
         write_truth(tmp_path / "t.mcap", [replace(truth(), models={"parts/x": b""})])

@@ -169,7 +169,7 @@ def test_fresh_views_are_the_same_whoever_makes_them_and_truth_is_below_what_is_
     again = kit_completion_task(Dataset(mini), "small", WEIGHTS / "restoration")
     draws = [stream(task.training.seed, "kit-completion", index).random() for index in range(40)]
     for index in (int(np.argmin(draws)), int(np.argmax(draws))):  # by the d415, and ideal
-        view, same = task.training[index], again.training[index]
+        view, same = task.training.view(index), again.training.view(index)
         assert all(np.array_equal(view[name], same[name]) for name in view)
         twice = mirrored(mirrored(view))
         assert all(np.array_equal(view[name], twice[name]) for name in view)
@@ -177,8 +177,6 @@ def test_fresh_views_are_the_same_whoever_makes_them_and_truth_is_below_what_is_
         noisy = draws[index] < D415_SHARE
         assert 0.1 < np.median(wrong) < 3 if noisy else np.median(wrong) < 0.1
         assert (view["least"] < view["depth"] + 2)[view["plate"]].mean() > 0.9
-    with pytest.raises(IndexError):
-        task.training[len(task.training)]
 
 
 def test_the_measure_is_zero_for_the_truth_and_validation_examples_are_kept(mini: Path) -> None:
