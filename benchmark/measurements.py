@@ -7,8 +7,6 @@ marks, see `benchmark.documents`, so no number that was measured is ever typed.
 from __future__ import annotations
 
 import json
-import os
-import platform
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -26,6 +24,7 @@ from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.files import write_bytes
 from kit1000.metrics import METRIC_VERSIONS
+from kit1000.prediction.predict import hardware
 
 NO_VALUE = "–"  # if nothing was measured
 SETTING = (
@@ -184,17 +183,6 @@ def rate(passed: ArrayLike) -> dict[str, Any]:
         raise InputError("values: none, and a share needs at least one")
     share = float(passed.mean())
     return {"n": len(passed), "rate": share, "ci95": list(wilson_interval(share, len(passed)))}
-
-
-def hardware() -> str:
-    """The processor of this machine and the number of its cores that this process may use."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-        name = next(line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
-    except (OSError, StopIteration):
-        name = platform.processor() or platform.machine()
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return f"{name}, {cores} cores"
 
 
 def _command(dataset: Dataset | None) -> str:

@@ -127,7 +127,8 @@ def predict(config: RunConfig, data: Path, out: Path, workers: int | None = None
             bar = tqdm(predictions, None, len(jobs), initial=len(jobs) - len(left), unit="query", disable=None)
             for prediction in bar:
                 journal.add(prediction)
-        manifest = replace(manifest, hardware=_hardware(workers), reproduce=_command(config, dataset, out))
+        used = f"{hardware()}, {workers or usable_cores()} queries at a time"
+        manifest = replace(manifest, hardware=used, reproduce=_command(config, dataset, out))
         if earlier is not None:
             manifest = _merged_manifest(earlier.manifest, manifest)
         submission = write_submission(out, manifest, _sorted(dataset, [*_each(earlier), *journal.done.values()]))
@@ -313,9 +314,9 @@ def _command(config: RunConfig, dataset: Dataset, out: Path) -> str:
     return shlex.join(words)
 
 
-def _hardware(workers: int | None) -> str:
-    """Processor, its cores, and how many queries are predicted at a time."""
+def hardware() -> str:
+    """The processor of this machine, and the number of its cores that this process may use."""
     file = Path("/proc/cpuinfo")
     named = re.search(r"^model name\s*: (.*)$", file.read_text(), re.M) if file.is_file() else None
     model = named[1].strip() if named else platform.processor() or platform.machine()
-    return f"{model}, {usable_cores()} cores, {workers or usable_cores()} queries at a time"
+    return f"{model}, {usable_cores()} cores"

@@ -20,15 +20,7 @@ from kit1000.registration.image_refine import ImageFit, plate_patch, refine_in_i
 from kit1000.registration.kit_volume import KitCavities, TrueKits
 from kit1000.registration.part_volume import PartShape, true_part
 from kit1000.registration.prepared_image import RestoredImage
-from kit1000.registration.rank import (
-    SAME_PLACE,
-    Features,
-    Fit,
-    best_score,
-    moved,
-    ranked,
-    score_of,
-)
+from kit1000.registration.rank import SAME_PLACE, Features, Fit, best_score, moved, ranked, score_of
 from kit1000.registration.refine import Intervals, refine_within
 from kit1000.registration.search import (
     UP,

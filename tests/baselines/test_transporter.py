@@ -16,14 +16,7 @@ from baselines.training.tasks.goal_draws import QueryDraws
 from baselines.transporter.config import TRANSPORTER, YAW_STEP, YAWS, TransporterConfig
 from baselines.transporter.examples import GUESS_YAWS, TransporterTask, goals_of, transporter_loss
 from baselines.transporter.inputs import guess_window, kit_maps, part_maps, start_of
-from baselines.transporter.lattice import (
-    lattice_of,
-    peak_of,
-    position_of,
-    rotation_from,
-    spread_cells,
-    tilt_and_yaw,
-)
+from baselines.transporter.lattice import lattice_of, peak_of, position_of, rotation_from, spread_cells, tilt_and_yaw
 from baselines.transporter.method import Transporter, motion_to, search, within_window
 from baselines.transporter.network import (
     FCN,

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from benchmark.documents import NOISY, TABLES, filled, run, score_table
 from benchmark.entries import read_entries
-from benchmark.measurements import SETTING, Column, Measurement, estimate, rate, read_measurement
+from benchmark.measurements import SETTING, Column, Measurement, estimate, read_measurement
 from benchmark.protocol import ABLATION, FOUND
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
@@ -62,11 +62,6 @@ def test_an_estimate_holds_mean_and_median_and_an_interval_within_the_values(val
     assert found["n"] == len(values)
     assert found["mean"] == pytest.approx(sum(values) / len(values), abs=1e-6)
     assert min(values) - slack <= low <= high <= max(values) + slack
-
-
-def test_the_interval_of_a_rate_is_wilsons() -> None:
-    """8 of 10: 0.4902 to 0.9433 (Brown, Cai and DasGupta 2001 give the formula)."""
-    assert rate([True] * 8 + [False] * 2)["ci95"] == pytest.approx([0.4902, 0.9433], abs=1e-4)
 
 
 def test_the_command_names_the_program_and_neither_data_nor_target(mini: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -24,13 +24,7 @@ from kit1000.metrics.segmentation import mean_iou
 from kit1000.perception.image_kinds import IDEAL
 from kit1000.perception.restoration.restorer import Restorer
 from kit1000.perception.segmentation.instances import OF_LARGEST, find_bodies, segmented, world_points
-from kit1000.perception.segmentation.part_finder import (
-    MIDDLES_APART,
-    PartFinder,
-    Votes,
-    gathered,
-    inputs_of,
-)
+from kit1000.perception.segmentation.part_finder import MIDDLES_APART, PartFinder, Votes, gathered, inputs_of
 from kit1000.perception.segmentation.pieces import (
     MOST_PIECES,
     best_pairs,

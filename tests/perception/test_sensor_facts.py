@@ -15,12 +15,7 @@ from kit1000.perception.calibration.table import flattened
 from kit1000.perception.image_kinds import D415, PHOTONEO, RESTORED
 from kit1000.perception.restoration import restored
 from kit1000.perception.segmentation.instances import find_bodies
-from kit1000.perception.sensor_facts import (
-    KEY,
-    SensorFacts,
-    sensor_of,
-    simulated_sensor,
-)
+from kit1000.perception.sensor_facts import KEY, SensorFacts, sensor_of, simulated_sensor
 from kit1000.pose import Pose
 from kit1000.sim.layout import table
 from kit1000.sim.render import render

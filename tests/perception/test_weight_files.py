@@ -19,13 +19,7 @@ from kit1000.perception.completion.kits import KitCompleter
 from kit1000.perception.completion.parts import PartCompleter
 from kit1000.perception.networks.precision import Precision
 from kit1000.perception.networks.unet import BandedConv2d, UNet, UNetConfig, folded, in_float64
-from kit1000.perception.networks.weight_files import (
-    LARGEST,
-    copied_state,
-    load_into,
-    load_weights,
-    save_weights,
-)
+from kit1000.perception.networks.weight_files import LARGEST, copied_state, load_into, load_weights, save_weights
 from kit1000.perception.placement.network import Placer
 from kit1000.perception.restoration.restorer import Restorer
 from kit1000.perception.segmentation.part_finder import PartFinder

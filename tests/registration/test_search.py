@@ -13,21 +13,9 @@ from kit1000.pose import Pose
 from kit1000.queries.guesses import MAX_ANGLE, MAX_OFFSET
 from kit1000.registration.geometry.cavity import Cavity
 from kit1000.registration.geometry.height_maps import dilated, expected_heights
-from kit1000.registration.search import (
-    CELL,
-    UP,
-    KitSpectrum,
-    SearchWindow,
-    best_shifts,
-    coarse_search,
-)
+from kit1000.registration.search import CELL, UP, KitSpectrum, SearchWindow, best_shifts, coarse_search
 from kit1000.voxels import Grid, signed_distance
-from tests.samples.registration_cases import (
-    CLEARANCE,
-    WORLD_FROM_KIT,
-    case,
-    known_cavity,
-)
+from tests.samples.registration_cases import CLEARANCE, WORLD_FROM_KIT, case, known_cavity
 from tests.samples.shapes import box
 
 # search

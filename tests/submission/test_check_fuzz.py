@@ -17,14 +17,7 @@ from kit1000.cli import main
 from kit1000.errors import InputError
 from kit1000.files import json_bytes
 from kit1000.submission import Report, check, read_manifest, read_predictions, write_manifest, write_predictions
-from tests.samples.broken_submissions import (
-    BROKEN,
-    BROKEN_MANIFESTS,
-    GOOD,
-    MANIFEST,
-    READ_WITHOUT_FAULT,
-    as_bytes,
-)
+from tests.samples.broken_submissions import BROKEN, BROKEN_MANIFESTS, GOOD, MANIFEST, READ_WITHOUT_FAULT, as_bytes
 
 SECONDS = float(os.environ.get("KIT1000_FUZZ_S", "2"))
 TOKENS = (

@@ -11,14 +11,7 @@ from scipy.ndimage import map_coordinates
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.pose import Pose
-from kit1000.voxels import (
-    Grid,
-    Volume,
-    crop,
-    resample,
-    signed_distance,
-    surface_points,
-)
+from kit1000.voxels import Grid, Volume, crop, resample, signed_distance, surface_points
 from tests.samples.shapes import box
 
 ROTATED = Pose.from_rotvec((0.3, -0.7, 1.1), (0.2, -0.1, 0.05))

@@ -24,12 +24,7 @@ from kit1000.dataset.reader import Dataset
 from kit1000.perception.networks.unet import UNetConfig
 from kit1000.perception.restoration.restorer import Restorer
 from kit1000.perception.segmentation.instances import find_bodies
-from kit1000.perception.segmentation.part_finder import (
-    OFFSET_UNIT,
-    CentresNet,
-    Votes,
-    inputs_between,
-)
+from kit1000.perception.segmentation.part_finder import OFFSET_UNIT, CentresNet, Votes, inputs_between
 from kit1000.values import FIRST_PART_LABEL, LabelledDepth, View
 
 KITS_SHARE = 0.05  # of the crops: about a pixel of the kits

@@ -16,13 +16,7 @@ from torch import Tensor
 from kit1000.perception.networks.inference import on_cpu, on_grid, with_mirror
 from kit1000.perception.networks.unet import UNet, UNetConfig
 from kit1000.perception.observed.columns import MaskedView, ObservedColumns
-from kit1000.perception.observed.kits import (
-    CELL,
-    CELLS,
-    DEEPEST,
-    CompletedHeights,
-    SeenHeights,
-)
+from kit1000.perception.observed.kits import CELL, CELLS, DEEPEST, CompletedHeights, SeenHeights
 from kit1000.perception.observed.pixels import subpixel_points
 from kit1000.values import ASSEMBLY_LABEL, LabelledDepth
 

@@ -102,14 +102,6 @@ def test_slabs_change_nothing(monkeypatch: pytest.MonkeyPatch, rows: int) -> Non
     assert torch.allclose(downsampled(first, second, volume), whole, atol=1e-6)
 
 
-def test_a_region_of_features_is_that_of_all_features() -> None:
-    encoder, volume = Encoder((2, 3, 4, 5, 6), 3), torch.randn(1, 64, 48, 32)
-    every = plain_features(encoder, volume)
-    for region in (((0, 32), (0, 24), (0, 16)), ((5, 17), (0, 3), (15, 16)), ((14, 16), (11, 24), (7, 9))):
-        (a, b), (c, d), (e, f) = region
-        assert torch.allclose(encoder(volume, region), every[:, :, a:b, c:d, e:f], atol=1e-5)
-
-
 @pytest.mark.parametrize(
     ("change", "reason"),
     [

@@ -11,20 +11,11 @@ import torch
 from scipy.ndimage import map_coordinates
 from torch import Tensor, nn
 
-from baselines.snapnet.candidate_rotations import (
-    candidates,
-)
+from baselines.snapnet.candidate_rotations import candidates
 from baselines.snapnet.config import ROTATION, RotationConfig
-from baselines.snapnet.query_volumes import Where, interpolated, rotated, sample_points
+from baselines.snapnet.query_volumes import Where, rotated, sample_points
 from baselines.snapnet.rotation import COUNTS, RADII, SPREAD, RotationNet, rotation_loss, rotation_of
-from baselines.snapnet.set_abstraction import (
-    MLP,
-    Dense,
-    Groups,
-    SetAbstraction,
-    ball_query,
-    farthest_points,
-)
+from baselines.snapnet.set_abstraction import MLP, Dense, Groups, SetAbstraction
 from kit1000.errors import InputError
 from kit1000.pose import Pose, quaternion_angle, quaternion_from_rotvec
 from kit1000.rng import stream
@@ -124,31 +115,6 @@ def test_rotation_is_that_of_poses_and_the_same_alone_to_the_bit():
         poses = Pose(rotations[number].numpy(), np.zeros(3))
         np.testing.assert_allclose(result[number], poses[:, None].apply(part[number].numpy()), atol=1e-7)
     assert torch.equal(result[:, 3:4], rotated(part, rotations[:, 3:4]))
-
-
-def test_values_between_voxels_are_those_of_a_linear_interpolation():
-    volume = stream(0).uniform(-1, 1, (2, 7, 6, 5)).astype(np.float32)
-    points = stream(1).uniform(-9e-3, 9e-3, (2, 3, 40, 3)).astype(np.float32)  # some of them outside
-    result = interpolated(torch.from_numpy(volume), torch.from_numpy(points), 2e-3)
-    for number in range(2):
-        indices = np.moveaxis(points[number] / 2e-3 + (3, 3, 2), -1, 0)
-        wanted = map_coordinates(volume[number], indices, order=1, mode="nearest")
-        np.testing.assert_allclose(result[number], wanted, atol=1e-5)
-
-
-def test_farthest_points_are_those_of_the_plain_search_and_fewer_are_a_prefix():
-    part = scene()[0]
-    chosen = farthest_points(part, 20)
-    assert torch.equal(chosen, plain_farthest(part, 20))
-    assert torch.equal(chosen[:, :7], farthest_points(part, 7))
-
-
-def test_a_ball_query_gives_the_first_points_within_the_radius():
-    part, kit, _, _ = scene()
-    radii, counts = (0.005, 0.02, 0.05), (4, 9, 120)
-    result = ball_query(part, kit, radii, counts)
-    for found, radius, count in zip(result, radii, counts, strict=True):
-        assert torch.equal(found, plain_ball_query(part, kit, radius, count))
 
 
 def test_a_set_abstraction_ignores_the_order_of_members_and_a_shift_of_the_scene():

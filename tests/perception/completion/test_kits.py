@@ -24,12 +24,7 @@ from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.kits.assembly import AssemblyPlan, SidePlate, build_assembly
 from kit1000.mesh import defect_float32
-from kit1000.perception.completion.kits import (
-    KitCompleter,
-    KitCompletionNet,
-    kit_loss,
-    likely_depths,
-)
+from kit1000.perception.completion.kits import KitCompleter, KitCompletionNet, kit_loss, likely_depths
 from kit1000.perception.image_kinds import IDEAL
 from kit1000.perception.networks.unet import UNetConfig
 from kit1000.perception.observed.kits import (
