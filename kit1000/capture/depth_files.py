@@ -17,8 +17,8 @@ PICTURES = (".png", ".tif", ".tiff")
 SUFFIXES = (*PICTURES, ".npy", ".npz")
 RECORDING = ".mcap"
 BAGS = (".db3", ".bag")
+PACKED = (".zst", ".zstd")
 ROSBAGS = "convert it without ROS: pip install rosbags, rosbags-convert --src IT --dst FOLDER --dst-storage mcap"
-UNREAD: dict[str, str] = {**dict.fromkeys(BAGS, ROSBAGS), **dict.fromkeys((".zst", ".zstd"), "unpack it by zstd -d")}
 MODES = {"I;16", "I;16B", "I;16L", "I;16N", "I", "F"}  # of Pillow, with one channel and more than 8 bits
 MOST_BYTES = 2_000_000_000
 MOST_FRAMES = 1000  # of a file
@@ -78,7 +78,10 @@ def _image_file(source: Path) -> Path:
         raise InputError(f"{source}: no such file; {did_you_mean(source.name, near)}".rstrip("; "))
     suffix = source.suffix.lower()
     if suffix not in SUFFIXES:
-        advice = UNREAD.get(suffix, "save depth as 16-bit PNG or .npy, of a point cloud its z")
+        others = (
+            "unpack it by zstd -d" if suffix in PACKED else "save depth as 16-bit PNG or .npy, of a point cloud its z"
+        )
+        advice = ROSBAGS if suffix in BAGS else others
         raise InputError(
             f"{source}: {suffix or 'no suffix'} is not read, expected {', '.join((*SUFFIXES, RECORDING))}: {advice}"
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -32,8 +32,7 @@ def pinhole_image(depth: np.ndarray, intrinsics: Intrinsics, source: str) -> Pin
     """
     camera = intrinsics.camera(depth.shape, source)
     factor = _factor(camera)
-    scaled = camera if factor == 1 else camera.scaled(factor)
-    target = replace(scaled, width=scaled.width // 2 * 2, height=scaled.height // 2 * 2)
+    target = _even(camera if factor == 1 else camera.scaled(factor))
     if intrinsics.distorted:
         intrinsics.forward_model  # noqa: B018 (raises where distortion cannot be undone)
     if intrinsics.distorted or factor != 1:
@@ -52,6 +51,11 @@ def _factor(camera: Camera) -> float:
     if 1 / KEPT <= ratio <= KEPT:
         return 1.0
     return float(min(ratio, MOST_SIDE / max(camera.width, camera.height)))
+
+
+def _even(camera: Camera) -> Camera:
+    """The same camera without its last row or column where their number is odd."""
+    return Camera(camera.width // 2 * 2, camera.height // 2 * 2, camera.fx, camera.fy, camera.cx, camera.cy)
 
 
 def _looked_up(depth: np.ndarray, intrinsics: Intrinsics, target: Camera) -> np.ndarray:

@@ -55,7 +55,7 @@ class _Recording:
         self.path, self.file = path, file
         summary = SeekingReader(file, record_size_limit=MOST_RECORD).get_summary()
         if summary is None or not summary.chunk_indexes:
-            raise InputError(f"{path}: without an index of chunks: `mcap recover FILE -o OUT` makes one")
+            raise InputError(f"{path}: without an index of chunks; {FIX}")
         if any(chunk.uncompressed_size > MOST_RECORD for chunk in summary.chunk_indexes):
             raise InputError(f"{path}: a chunk of more than {MOST_RECORD >> 30} GiB; {FIX}")
         schemas = {number: schema.name for number, schema in summary.schemas.items()}

@@ -77,7 +77,7 @@ class HandWorkspace(Workspace):
         super().__init__(scene, snaps=False)
         parts = np.concatenate([scene.clouds[part] for part in scene.parts])
         self._rest = {
-            cup: Pose(DOWN.wxyz, np.array([points[:, 0].max() + ASIDE, (points.min(0) + points.max(0))[1] / 2, 0.0]))
+            cup: Pose(DOWN.wxyz, np.array([points[:, 0].max() + ASIDE, _middle(points)[1], 0.0]))
             for cup, points in ((PICK, parts), (PLACE, scene.kits.vertices))
         }
         self._known: tuple[tuple[PartEdit, ...], Tops, int | None] | None = None
@@ -183,3 +183,8 @@ class BareHandWorkspace(HandWorkspace):
 def _level(point: np.ndarray) -> Plate:
     """A level plane through a point (3,) [m]."""
     return Plate(TABLE.normal, point, 0.0)
+
+
+def _middle(points: np.ndarray) -> np.ndarray:
+    """(3,) [m] of the extents of points (n, 3)."""
+    return (points.min(0) + points.max(0)) / 2

@@ -137,11 +137,19 @@ def _vector(kind: type[Any], value: Any) -> np.ndarray:
 
 
 def _row(move: Move) -> Row:
-    base, frames = move.base_from_camera, {"world": move.world, "camera": move.camera, "base": move.base}
-    row = {name: getattr(move, name) for name in ("scene", "sensor", "part", "confidence", "from_above", "cup")}
-    row["world_from_camera"] = pose_row(move.world_from_camera)
-    row["base_from_camera"] = None if base is None else pose_row(base)
-    return row | {name: None if frame is None else _frame_row(frame) for name, frame in frames.items()}
+    frames = {"world": move.world, "camera": move.camera, "base": move.base}
+    base = move.base_from_camera
+    return {
+        "scene": move.scene,
+        "sensor": move.sensor,
+        "part": move.part,
+        "confidence": move.confidence,
+        "from_above": move.from_above,
+        "cup": move.cup,
+        "world_from_camera": pose_row(move.world_from_camera),
+        "base_from_camera": None if base is None else pose_row(base),
+        **{name: None if frame is None else _frame_row(frame) for name, frame in frames.items()},
+    }
 
 
 def _frame_row(move: FramedMove) -> Row:

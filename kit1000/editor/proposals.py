@@ -45,7 +45,7 @@ class PartProposals:
         ranked = sorted(reached, key=lambda fit: -fit.confidence)
         if edit.turned:
             first = [fit for fit in answers[:1] if fit in reached]
-            ranked.sort(key=lambda fit: float((fit.goal_from_now @ hand.inverse()).angle()) > MAX_ANGLE)
+            ranked.sort(key=lambda fit: _angle(fit, hand) > MAX_ANGLE)
             ranked = [*first, *ranked]
         return distinct(ranked, self.pivot)
 
@@ -74,3 +74,7 @@ def _within_reach(proposal: Proposal, hand: Pose, pivot: np.ndarray) -> bool:
     """Whether a fit takes the pivot to within the largest offset of a guess, along each axis."""
     apart = proposal.goal_from_now.apply(pivot) - hand.apply(pivot)
     return bool(np.abs(apart).max() <= MAX_OFFSET)
+
+
+def _angle(proposal: Proposal, hand: Pose) -> float:
+    return float((proposal.goal_from_now @ hand.inverse()).angle())

@@ -27,6 +27,8 @@ from kit1000.values import LabelledDepth
 
 AMOUNTS = ((1 / 8, 3.0), (3 / 8, 6.0), (5 / 8, 3.0), (7 / 8, 6.0))
 """What the sensor may do beside an edge: share of its largest extension, and the jump [px] up to which it blends."""
+FEW_AMOUNTS = ((1 / 4, 3.0), (3 / 4, 6.0))
+"""The same for half an image, in which places are ranked."""
 RAMP_HALF = 4.0  # [px] half the width of a ramp
 SHARP = 3  # [px] side of a window in which a pixel of a sharp image may show either side of an edge
 LEAST_NOISE, LEAST_BEND = 0.05, 0.03  # [px]
@@ -74,6 +76,8 @@ class DisparityImage:
     """[pixels of this image] by which near surfaces extend beyond their edges, at most."""
     ramp: float
     """[pixels of this image] half the width of a ramp."""
+    amounts: Sequence[tuple[float, float]] = AMOUNTS
+    """What it may do beside an edge."""
 
     @staticmethod
     def of(image: LabelledDepth, sensor: SensorFacts, support: Support) -> DisparityImage:
@@ -94,7 +98,8 @@ class DisparityImage:
         measured = self.measured[::2, ::2]
         height, width = measured.shape
         small = Camera(width, height, camera.fx / 2, camera.fy / 2, camera.cx / 2, camera.cy / 2)
-        return replace(self, camera=small, measured=measured, extension=self.extension / 2, ramp=self.ramp / 2)
+        edges = {"extension": self.extension / 2, "ramp": self.ramp / 2, "amounts": FEW_AMOUNTS}
+        return replace(self, camera=small, measured=measured, **edges)
 
     @cached_property
     def table(self) -> np.ndarray:
@@ -143,13 +148,29 @@ class DisparityImage:
             return mean, np.maximum(uniform_filter(exact * exact, blur) - mean * mean, 0.0)
         padded, size = np.pad(exact, 1, mode="edge").astype(np.float32), max(exact.shape) + 2
         found = []
-        for share, jump in AMOUNTS:
+        for share, jump in self.amounts:
             one = [np.full((1, 1), value, np.float32) for value in (share, jump, self.ramp)]
             wide = widened_edges(padded, one[0], one[1], size, self.extension)
             found.append(blended_ramps(wide, one[1], one[2], size)[1:-1, 1:-1])
         several = np.stack(found)
         mean = several.mean(0)
         return mean, np.square(several - mean).mean(0)
+
+
+class Explained(NamedTuple):
+    """What a shape explains of an image."""
+
+    gain: float
+    """The number of pixels that it explains and that table and others do not, less those that it spoils."""
+    left: float
+    """The number of pixels in and about it that are left unexplained."""
+    compared: int
+    """The number of pixels in and about it with a return."""
+
+    @property
+    def misfit(self) -> float:
+        """What is left unexplained about it: 0 for nothing, 1 for all pixels."""
+        return self.left / self.compared if self.compared else 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,27 +199,17 @@ class Window:
         compared = (maximum_filter(inside, 2 * SEEN + 1) > 0) & (self.measured > 0)
         return compared if used is None else compared & used[self.box.window]
 
-    def misfit(self, shape: StandingShape, used: np.ndarray | None = None) -> float:
-        """What all shapes leave unexplained about one of them: 0 for nothing, 1 for all pixels.
+    def explained(self, shape: StandingShape, used: np.ndarray | None = None) -> Explained:
+        """What a shape explains that table and others do not, and what they all leave unexplained about it.
 
         used: (H, W) bool, the pixels that are compared; all if None.
         """
         exact, inside = self.exact(shape)
         compared = self.compared(inside, used)
         if not compared.any():
-            return 1.0
-        return self._unexplained(*self.image.expected(exact), compared) / compared.sum()
-
-    def gain(self, shape: StandingShape, used: np.ndarray | None = None) -> float:
-        """The number of pixels that a shape explains and that table and others do not, less those that it spoils.
-
-        used: (H, W) bool, the pixels that are compared; all if None.
-        """
-        exact, inside = self.exact(shape)
-        compared = self.compared(inside, used)
-        if not compared.any():
-            return 0.0
-        return self._unexplained(*self._without, compared) - self._unexplained(*self.image.expected(exact), compared)
+            return Explained(0.0, 0.0, 0)
+        left = self._unexplained(*self.image.expected(exact), compared)
+        return Explained(self._unexplained(*self._without, compared) - left, left, int(compared.sum()))
 
     @cached_property
     def _without(self) -> tuple[np.ndarray, np.ndarray]:

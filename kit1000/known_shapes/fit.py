@@ -76,7 +76,7 @@ def _best_stride(
 ) -> StandingShape:
     """A shape after that of some moves after which it explains the most."""
     moved = [shape.at(shape.place + move) for move in moves]
-    return moved[0] if len(moved) == 1 else max(moved, key=lambda each: window.gain(each, used))
+    return moved[0] if len(moved) == 1 else max(moved, key=lambda each: window.explained(each, used).gain)
 
 
 def _equations(

@@ -14,6 +14,7 @@ from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.known_shapes.registration import SCALE_SPREAD, RegisteredBody, RegisteredScene, register_scene
 from kit1000.known_shapes.shapes import KITS, KnownShape
+from kit1000.known_shapes.support import Support, recorded_support, seen_support
 from kit1000.mesh import Mesh
 from kit1000.perception.calibration import camera_estimate_by
 from kit1000.perception.sensor_facts import SensorFacts, sensor_of
@@ -180,9 +181,9 @@ class KnownShapeRegistration:
 
     def _register(self, query: Query, shapes: SceneShapes) -> _Registered:
         sensor = sensor_of(self.dataset.summary, query.sensor, query.scene_id)
-        image, spread = _calibrated(query.image, sensor)
+        image, support, spread = _calibrated(query.image, sensor)
         parts = [KnownShape.of(name, mesh) for name, mesh in shapes.parts.items()]
-        scene = register_scene(image, sensor, KnownShape.upright(KITS, shapes.assembly), parts, spread)
+        scene = register_scene(image, sensor, KnownShape.upright(KITS, shapes.assembly), parts, spread, support)
         return _Registered(scene, image.view.world_from_camera)
 
 
@@ -214,15 +215,16 @@ def _given(query: Query, shapes: SceneShapes | None) -> SceneShapes:
     return shapes
 
 
-def _calibrated(image: LabelledDepth, sensor: SensorFacts) -> tuple[LabelledDepth, float]:
-    """An image with the camera and the depths that its table shows, and the spread that is left in the depth scale."""
+def _calibrated(image: LabelledDepth, sensor: SensorFacts) -> tuple[LabelledDepth, Support, float]:
+    """An image with the camera and the depths that its table shows, the table, and the spread of the depth scale."""
     if sensor.kind.exact:
-        return image, 1e-5
+        return image, recorded_support(image), 1e-5
     if not sensor.simulated_table:  # its world was made of the image, so its table tells nothing about the scale
-        return image, SCALE_SPREAD
+        return image, seen_support(image), SCALE_SPREAD
     estimate = camera_estimate_by(image.view, image.labels, sensor)
+    calibrated = LabelledDepth(estimate.view, image.labels)
     spread = float(np.sqrt(np.linalg.inv(estimate.information)[6, 6])) * SCALE_SPREAD
-    return LabelledDepth(estimate.view, image.labels), spread
+    return calibrated, recorded_support(calibrated), spread
 
 
 def _confidence(scene: RegisteredScene, kits: RegisteredBody, part: RegisteredBody) -> float:

@@ -101,6 +101,7 @@ def register_scene(
     kits: KnownShape,
     parts: Sequence[KnownShape],
     scale_spread: float = SCALE_SPREAD,
+    support: Support | None = None,
 ) -> RegisteredScene:
     """Find known shapes in a depth image.
 
@@ -110,11 +111,13 @@ def register_scene(
         kits: all kits as one shape.
         parts: those of the scene, in any order; fewer than it shows parts is allowed.
         scale_spread: standard deviation of the depth scale about 1, before the sizes of the shapes tell it.
+        support: the table; None: the plane that its depths show.
 
     Raises:
         InputError: the image shows no kits, or too little of the table.
     """
-    search = SceneSearch(DisparityImage.of(image, sensor, seen_support(image)), image.labels)
+    table = support or seen_support(image)
+    search = SceneSearch(DisparityImage.of(image, sensor, table), image.labels)
     return registered_from(search, search.bodies(kits, parts), scale_spread)
 
 
@@ -150,7 +153,7 @@ def _agreement(body: StandingShape, bodies: Sequence[StandingShape], search: Sce
     near = (other for other in search.rivals[body.shape.name] if apart(body, other) < SPOT)
     others = [each for each in near if distance.between(pose, each.camera_from_body()) > SAME_POSE]
     rest = [each for each in bodies if each is not body]
-    gains = [search.window(each, rest).gain(each) for each in (body, *others)]
+    gains = [search.window(each, rest).explained(each).gain for each in (body, *others)]
     lead = gains[0] - max(gains[1:]) if others else None
     return replace(agreement(search.image, body, neighbours(body, rest, GAP), scale), lead=lead)
 
@@ -171,4 +174,4 @@ def agreement(
     exact, inside = window.exact(body)
     both = inside & (window.measured > 0)
     off = np.abs(image.gain / window.measured[both] - image.gain / exact[both]) if both.any() else np.array([np.inf])
-    return Agreement(window.misfit(body), None, float(np.median(off)))
+    return Agreement(window.explained(body).misfit, None, float(np.median(off)))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
-from itertools import combinations
+from itertools import combinations, product
 from typing import NamedTuple
 
 import numpy as np
@@ -34,6 +34,8 @@ class Screened(NamedTuple):
 
 
 KIT_SCREENED, KIT_REFINED = Screened(24, 24, 24), 6  # for the kits, and how many of these are refined
+NEARBY = np.array([(x, y, 0.0) for x, y in product(np.linspace(-16e-3, 16e-3, 5), repeat=2)])
+"""[m] moves of kits that explain the image badly: a cavity that is seen obliquely misleads the heights."""
 MASK_SCREENED, MASK_REFINED = Screened(20, 20, 1), 2  # for a part over a mask
 SPOT_SCREENED, SPOT_REFINED = Screened(100, 100, 1), 5  # at a spot beside all other bodies
 DOUBTFUL, DOUBTFUL_SCREENED = 0.018, Screened(450, 450, 2)  # the same for a part that leaves more unexplained
@@ -44,6 +46,7 @@ ROUNDS, STAYED = 2, 1e-3  # of searches beside all other bodies, if these move b
 OTHERS_REACH = 2  # [px] about another mask, whose pixels tell nothing about a part
 GAP = 0.05  # [m] up to which shapes are rendered together
 BADLY = 0.045  # of the pixels about a shape: it is searched everywhere
+SPOILS = 0.15  # of the pixels that a part explains: it may be exchanged
 LEAST_GAIN = 12.0  # pixels of the small image that a shape must explain
 
 Bodies = list[StandingShape | None]
@@ -71,7 +74,7 @@ class SceneSearch:
         self._place_missing(parts, bodies)
         self._settle(bodies, range(1, len(bodies)))
         bodies = self._exchanged(bodies)
-        again = [bodies[0], *(body if self._misfit(body, bodies) < BADLY else None for body in bodies[1:])]
+        again = [bodies[0], *(None if self._fails(body, bodies) else body for body in bodies[1:])]
         if None in again:
             self._place_missing(parts, again)
             bodies = self._better(bodies, again, range(1, len(bodies)))
@@ -88,12 +91,17 @@ class SceneSearch:
         return self.image.window(body, neighbours(body, others, GAP))
 
     def _kits(self, kits: KnownShape) -> StandingShape:
-        """The kits, found in the whole image."""
+        """The kits, found in the whole image; raises InputError if it shows none."""
         found = self._candidates(self.grid, views_from_above(kits, KIT_YAWS), kits, KIT_SCREENED, KIT_REFINED)
         if not found:
             raise InputError("the image shows no kits of this shape")
+        standing = fit(self.image, found[0].shape, reaches=2 * FINE).shape
+        if self.window(standing, ()).explained(standing).misfit > BADLY:
+            near = [each.at(each.place + move) for _, each in found for move in NEARBY]
+            found = self._refined(near, KIT_REFINED)
+            standing = fit(self.image, found[0].shape, reaches=2 * FINE).shape
         self.rivals[kits.name] = [shape for _, shape in found]
-        return fit(self.image, found[0].shape, reaches=2 * FINE).shape
+        return standing
 
     def _candidates(
         self,
@@ -105,7 +113,7 @@ class SceneSearch:
         others: Sequence[StandingShape] = (),
         used: np.ndarray | None = None,
     ) -> list[Place]:
-        """Places of a shape refined in the small image, with the pixels that they explain there, the most first.
+        """Places of a shape by its heights, the best of them refined.
 
         Args:
             grid: the heights, in which the shape is searched for; None: there are none.
@@ -116,7 +124,17 @@ class SceneSearch:
             others: shapes beside it.
             used: (H / 2, W / 2) bool, the pixels that are compared; all if None.
         """
+        places = [] if grid is None else grid.places(shape, views, *screened)
+        return self._refined([place.shape for place in places], most, others, used)
 
+    def _refined(
+        self,
+        places: Sequence[StandingShape],
+        most: int,
+        others: Sequence[StandingShape] = (),
+        used: np.ndarray | None = None,
+    ) -> list[Place]:
+        """The best of some places refined in the small image, with the pixels that they explain there, most first."""
         windows: list[Window] = []  # places at one spot share what is behind them
 
         def gain(standing: StandingShape) -> Place:
@@ -125,14 +143,13 @@ class SceneSearch:
             if window is None:
                 window = self.small.window(standing, neighbours(standing, others, GAP), room=ROOM)
                 windows.append(window)
-            return Place(window.gain(standing, used), standing)
+            return Place(window.explained(standing, used).gain, standing)
 
         def refined(standing: StandingShape) -> StandingShape:
             return fit(self.small, standing, neighbours(standing, others, GAP), reaches=COARSE, used=used).shape
 
-        places = [] if grid is None else [gain(place.shape) for place in grid.places(shape, views, *screened)]
-        places = distinct(sorted(places, key=_by_score), most)
-        return sorted((gain(refined(place.shape)) for place in places), key=_by_score)
+        best = distinct(sorted(map(gain, places), key=_by_score), most)
+        return sorted((gain(refined(place.shape)) for place in best), key=_by_score)
 
     def _over_masks(self, parts: Sequence[KnownShape], kits: StandingShape) -> Bodies:
         """Each part over a mask, so that all together explain the most pixels; None for a part that no mask fits."""
@@ -167,13 +184,12 @@ class SceneSearch:
 
     def _settled(self, body: StandingShape, others: Sequence[StandingShape]) -> StandingShape:
         """A part, or the rival at its spot that explains more beside the others."""
-        window = self.window(body, others)
-        screened = DOUBTFUL_SCREENED if window.misfit(body) > DOUBTFUL else SPOT_SCREENED
-        most = window.gain(body)
+        found = self.window(body, others).explained(body)
+        most, screened = found.gain, DOUBTFUL_SCREENED if found.misfit > DOUBTFUL else SPOT_SCREENED
         for rival in self._at_spot(body.shape, body, others, screened)[:RIVALS]:
             moved = fit(self.image, rival, neighbours(rival, others, GAP), reaches=FINE[:2]).shape
             self.rivals[body.shape.name].append(moved)
-            gain = self.window(moved, others).gain(moved)
+            gain = self.window(moved, others).explained(moved).gain
             if gain > most:
                 most, body = gain, moved
         return body
@@ -188,13 +204,20 @@ class SceneSearch:
             place.shape for place in self._candidates(near, _part_views(shape), shape, screened, SPOT_REFINED, others)
         ]
 
-    def _misfit(self, body: StandingShape | None, bodies: Sequence[StandingShape | None]) -> float:
-        """What is not explained about a body; 1 without one."""
-        return 1.0 if body is None else self.window(body, bodies).misfit(body)
+    def _fails(self, body: StandingShape | None, bodies: Bodies) -> bool:
+        """Whether a part has no place, or one where it explains the image so badly that another may be right."""
+        if body is None:
+            return True
+        return self.window(body, bodies).explained(body).misfit > BADLY
+
+    def _doubted(self, body: StandingShape, bodies: Bodies) -> bool:
+        """Whether another pose of a part may explain more."""
+        found = self.window(body, bodies).explained(body)
+        return found.misfit > DOUBTFUL or found.left > SPOILS * found.gain
 
     def _exchanged(self, bodies: Bodies) -> Bodies:
         """Bodies of which two that are in doubt have changed their places, if they explain more so."""
-        doubtful = [i for i, body in enumerate(bodies) if i and body and self._misfit(body, bodies) > DOUBTFUL]
+        doubtful = [i for i, body in enumerate(bodies) if i and body and self._doubted(body, bodies)]
         for i, j in combinations(doubtful, 2):
             first, second = bodies[i], bodies[j]
             assert first is not None
@@ -234,7 +257,7 @@ class SceneSearch:
         """The number of pixels that all parts explain, one after the other."""
         first, *rest = [body for body in bodies if body is not None]
         before = [[first, *rest[:k]] for k in range(len(rest))]
-        return sum(self.window(body, others).gain(body) for body, others in zip(rest, before, strict=True))
+        return sum(self.window(body, others).explained(body).gain for body, others in zip(rest, before, strict=True))
 
 
 def _stayed(before: Sequence[StandingShape], now: Sequence[StandingShape]) -> bool:

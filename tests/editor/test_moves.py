@@ -125,6 +125,20 @@ def test_a_damaged_move_is_one_line_with_its_place(keys: list[str], value: objec
     assert "\n" not in text
 
 
+def test_the_other_frames_of_a_file_follow_from_the_first(tmp_path: Path) -> None:
+    """A file that was written before reads the same, whatever its further frames state."""
+    move = sample(base=Pose.from_translation((0.5, 0, 0)))
+    write_moves(tmp_path, "id", KEY, [move])
+    file = json.loads((tmp_path / FILE).read_text())
+    for name in ("camera", "base"):
+        del file["moves"][0][name]
+    (tmp_path / FILE).write_text(json.dumps(file))
+    [read] = read_moves(tmp_path)
+    assert read.base is not None
+    assert move.base is not None
+    assert apart(read.base.seated, move.base.seated) < 1e-12
+
+
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"format": "kit1000/moves/1"}', '{"format": 1, "moves": []}'])
 def test_another_file_is_refused_and_stays(text: str, tmp_path: Path) -> None:
     (tmp_path / FILE).write_text(text)

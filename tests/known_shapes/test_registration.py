@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
 
 from kit1000.errors import InputError
+from kit1000.known_shapes.height_search import HeightGrid, Place
 from kit1000.known_shapes.known_kits import KITS
 from kit1000.known_shapes.registration import RegisteredScene, register_scene
+from kit1000.known_shapes.shapes import KnownShape
 from kit1000.perception.sensor_facts import SensorFacts
 from kit1000.pose import Pose
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth
@@ -78,6 +81,19 @@ def _kits_cut_into(labels: np.ndarray) -> np.ndarray:
 def test_wrong_masks_move_no_body(wrong: Callable[[np.ndarray], np.ndarray]) -> None:
     scene = sample_scene()
     assert_in_place(scene, registered(scene, wrong(scene.image.labels)))
+
+
+def test_kits_are_found_although_their_heights_mislead(monkeypatch: pytest.MonkeyPatch) -> None:
+    proposed = HeightGrid.places
+
+    def misled(self: HeightGrid, shape: KnownShape, *args: Any) -> list[Place]:
+        places = proposed(self, shape, *args)
+        if shape.name != KITS:
+            return places
+        return [Place(score, each.at(each.place + (40e-3, -40e-3, 0.0))) for score, each in places[:1]]
+
+    monkeypatch.setattr(HeightGrid, "places", misled)
+    assert_in_place(sample_scene(), registered(sample_scene()))
 
 
 def test_a_part_without_a_mask_is_in_doubt() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kit1000.errors import InputError
-from kit1000.known_shapes.support import seen_support, standing_frame
+from kit1000.known_shapes.support import recorded_support, seen_support, standing_frame
 from kit1000.pose import Pose
 from kit1000.values import LabelledDepth
 from tests.samples.labelled_scenes import NOISE, sample_scene
@@ -30,6 +30,18 @@ def test_the_plane_does_not_follow_an_error_of_the_recorded_pose() -> None:
     here, there = seen_support(scene.image), seen_support(LabelledDepth(moved, scene.image.labels))
     assert here.offset == pytest.approx(there.offset, abs=1e-4)
     assert here.noise_at(0.7) == pytest.approx(NOISE, rel=0.35)
+
+
+def test_the_recorded_plane_follows_the_recorded_pose() -> None:
+    scene = sample_scene()
+    view = scene.image.view
+    moved = replace(view, world_from_camera=Pose.from_translation((0.0, 0.0, 4e-3)) @ view.world_from_camera)
+    seen, recorded = seen_support(scene.image), recorded_support(LabelledDepth(moved, scene.image.labels))
+    level = np.cross(recorded.normal, np.random.default_rng(0).normal(size=(9, 3)))
+    on_plane = recorded.normal * recorded.offset + level
+    assert np.allclose(moved.world_from_camera.apply(on_plane)[:, 2], 0.0, atol=1e-12)
+    assert recorded.offset == pytest.approx(seen.offset - 4e-3, abs=0.3e-3)
+    assert (recorded.noise, recorded.bend) == pytest.approx((seen.noise, seen.bend))
 
 
 def test_the_bend_is_what_the_depths_of_the_table_share_over_a_part() -> None:

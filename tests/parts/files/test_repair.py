@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -35,6 +37,30 @@ def soup_of(*solids: Manifold) -> tuple[np.ndarray, np.ndarray]:
     """Triangle corners (3m, 3) of several solids as an STL holds them, and faces (m, 3)."""
     corners = np.concatenate([mesh_from_solid(solid).triangles.reshape(-1, 3) for solid in solids])
     return corners, np.arange(len(corners)).reshape(-1, 3)
+
+
+def tube_along(centre: Callable[[np.ndarray], np.ndarray], radius: float, n: int) -> Mesh:
+    """A tube round a closed curve."""
+    t = np.linspace(0, 2 * np.pi, n, endpoint=False)
+    tangent = centre(t + 1e-6) - centre(t - 1e-6)
+    normal = np.cross(tangent, [0.0, 0.0, 1.0])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    third = np.cross(tangent / np.linalg.norm(tangent, axis=1, keepdims=True), normal)
+    k = 12
+    angle = 2 * np.pi * np.arange(k) / k
+    around = np.cos(angle)[:, None] * normal[:, None] + np.sin(angle)[:, None] * third[:, None]
+    vertices = (centre(t)[:, None] + radius * around).reshape(-1, 3)
+    i, j = np.meshgrid(np.arange(n), np.arange(k), indexing="ij")
+    a, b = i * k + j, i * k + (j + 1) % k
+    c, d = (i + 1) % n * k + (j + 1) % k, (i + 1) % n * k + j
+    faces = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
+    mesh = Mesh(vertices, faces)
+    return mesh if mesh.volume > 0 else Mesh(mesh.vertices, mesh.faces[:, ::-1])
+
+
+def eight(t: np.ndarray) -> np.ndarray:
+    """A curve that crosses itself at right angles in the middle, 60 mm long."""
+    return 1e-3 * np.stack([30 * np.cos(t), 20 * np.sin(2 * t), np.zeros_like(t)], axis=1)
 
 
 @given(st.sampled_from(sorted(SHAPES)), st.integers(0, 2**32 - 1))
@@ -185,6 +211,12 @@ def test_solids_that_touch_along_an_edge_stay_closed_after_rounding() -> None:
     found, notes = repaired(*soup_of(stairs))
     assert found.volume == pytest.approx(stairs.volume(), rel=1e-3)
     assert notes == ["separated surfaces that touch along edges, by 2 um"]
+
+
+def test_a_loop_that_crosses_itself_is_refused() -> None:
+    whole = tube_along(eight, 0.004, 96)
+    with pytest.raises(MeshRefused, match=r"^passes through itself at \d+ places"):
+        repaired(whole.vertices, whole.faces)
 
 
 def test_a_small_fold_is_removed_within_the_stated_distance() -> None:
