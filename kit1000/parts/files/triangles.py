@@ -64,15 +64,11 @@ def decimal_step(vertices: np.ndarray) -> float:
     return 0.0
 
 
-def polygons_as_triangles(vertices: np.ndarray, polygons: Sequence[Sequence[int]] | np.ndarray) -> np.ndarray:
+def polygons_as_triangles(vertices: np.ndarray, polygons: Sequence[Sequence[int]]) -> np.ndarray:
     """(m, 3) int64 the triangles of polygons, sorted by their numbers of corners; fewer than 3 corners give none.
 
-    Args:
-        vertices: (n, 3)
-        polygons: the indices of the corners of each polygon, in order.
+    vertices: (n, 3). polygons: the indices of the corners of each, in order.
     """
-    if isinstance(polygons, np.ndarray):
-        return _triangles_of_equal(vertices, polygons)
     by_length: dict[int, list[Sequence[int]]] = {}
     for polygon in polygons:
         by_length.setdefault(len(polygon), []).append(polygon)
@@ -83,8 +79,8 @@ def polygons_as_triangles(vertices: np.ndarray, polygons: Sequence[Sequence[int]
 def _triangles_of_equal(vertices: np.ndarray, polygons: np.ndarray) -> np.ndarray:
     """The triangles of polygons (k, c) with equal numbers of corners: fans if they are convex."""
     corners = polygons.shape[1]
-    if corners <= 3:
-        return polygons.astype(np.int64).reshape(-1, 3) if corners == 3 else np.zeros((0, 3), dtype=np.int64)
+    if corners == 3:
+        return polygons
     points = vertices[polygons]
     ahead, behind = np.roll(points, -1, axis=1), np.roll(points, 1, axis=1)
     centred = points - points[:, :1]

@@ -256,7 +256,7 @@ def test_the_triangles_of_a_polygon_cover_it_once(seed: int, corners: int) -> No
 
 def test_corners_on_a_line_and_polygons_of_mixed_lengths_keep_all_their_triangles() -> None:
     vertices = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0], [2, 2, 0], [1, 2, 0], [0, 2, 0]], dtype=float)
-    triangles = polygons_as_triangles(vertices, np.array([[0, 1, 2, 3, 4, 5]]))
+    triangles = polygons_as_triangles(vertices, [[0, 1, 2, 3, 4, 5]])
     edges = {tuple(sorted(edge)) for a, b, c in triangles.tolist() for edge in ((a, b), (b, c), (c, a))}
     assert {(0, 1), (1, 2), (2, 3), (3, 4), (4, 5), (0, 5)} <= edges
     square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=float)
