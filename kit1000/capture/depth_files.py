@@ -27,12 +27,7 @@ MOST_FRAMES = 1000  # of a file
 def read_groups(sources: Sequence[Path], options: ImportOptions) -> list[list[DepthFrame]]:
     """The frames of each scene: of each recording one group, of files one for each `frames` of them.
 
-    Args:
-        sources: files and folders.
-        options: which say what frames are taken; their own sources are not read.
-
-    Raises:
-        InputError: a source cannot be read.
+    sources: files and folders; those of the options are not read. Raises InputError if one cannot be read.
     """
     groups: list[list[DepthFrame]] = []
     single: list[DepthFrame] = []

@@ -72,15 +72,10 @@ def stated_unit(frame: DepthFrame, known: Intrinsics, scale: float | None, devic
 
 
 def metric_depth(frame: DepthFrame, unit: float) -> np.ndarray:
-    """(H, W) float32 [m] the depths of a frame, 0 without a return.
+    """(H, W) float32 [m] the depths of a frame, 0 without a return. unit: [m] that 1 stands for.
 
-    Args:
-        frame: as stored.
-        unit: [m] that 1 stands for.
-
-    Raises:
-        InputError: hardly any pixel has a return, the bytes of its values are swapped, or the median depth is not that
-            of a table; then a unit is proposed.
+    Raises InputError if hardly any pixel has a return, if the bytes of its values are swapped, or if the median depth
+    is not that of a table; then a unit is proposed.
     """
     values = frame.values
     known = np.isfinite(values) & (values > 0)

@@ -144,11 +144,8 @@ def _check_no_ray_lengths(depth: np.ndarray, known: Intrinsics, table: Table, so
 def _check_assumed_unit(source: str, unit: float, distance: float, kit: tuple[float, float]) -> None:
     """Raise InputError if a unit that nothing states makes a scene so large that a finer unit fits better.
 
-    Args:
-        source: the image, for the message.
-        unit: [m] that 1 was taken for.
-        distance: of the camera from the table [m], with this unit.
-        kit: sides of the kit [m], the shorter first, with this unit.
+    unit: [m] that 1 was taken for. With it, distance: of the camera from the table [m]; kit: its sides [m], the shorter
+    first.
     """
     if distance <= FAR_TABLE and kit[1] <= LARGE_KIT:
         return

@@ -91,14 +91,9 @@ class _Recording:
 
 
 def read_recording(path: Path, options: ImportOptions) -> list[DepthFrame]:
-    """The chosen frames of a recording, with the intrinsics recorded beside them.
+    """The chosen frames of a recording, an MCAP file, with the intrinsics recorded beside them.
 
-    Args:
-        path: of an MCAP file.
-        options: which say the topic and the frames.
-
-    Raises:
-        InputError: it is damaged, in an encoding that is not read, has no depth topic or several, or too few frames.
+    Raises InputError if it is damaged, is in another encoding, has no depth topic or several, or has too few frames.
     """
     try:
         with open(path, "rb") as file:

@@ -41,10 +41,7 @@ class Pick(NamedTuple):
 def find_pick(image: LabelledDepth, part: int, sensor: str) -> Pick:
     """The pick of a part: where the largest cup seals best, else the top of its middle.
 
-    Args:
-        image: as seen; z = 0 of its world is the table.
-        part: index.
-        sensor: of the image.
+    image: as the sensor saw it; z = 0 of its world is the table.
     """
     world_from_level = level_frame(image.view)
     camera = world_from_level.inverse() @ image.view.world_from_camera
@@ -77,14 +74,7 @@ def insertion_axis(motion: Pose, normal: np.ndarray | None) -> tuple[np.ndarray,
 
 
 def moves_of(scene: EditedScene, session: Session, pointing: Pointing, picks: dict[int, Pick]) -> list[Move]:
-    """The moves of the confirmed parts of a scene.
-
-    Args:
-        scene: with the parts at their recorded poses.
-        session: its edits.
-        pointing: knows which plate is below a point.
-        picks: those found so far, by part; further ones are added.
-    """
+    """The moves of the confirmed parts of a scene. picks: those found so far, by part; further ones are added."""
     moves = []
     for part in scene.parts:
         edit = session.edits.get(part)

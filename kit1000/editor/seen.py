@@ -43,13 +43,7 @@ class SeenScene:
 
 
 def seen_scene(image: LabelledDepth, editable: Collection[int], noisy: bool) -> SeenScene:
-    """What an image shows.
-
-    Args:
-        image: depth and masks.
-        editable: indices of the parts that can be edited.
-        noisy: whether the sensor has noise that must be smoothed to be looked at.
-    """
+    """What an image shows. editable: indices of the parts that can be edited. noisy: whether it must be smoothed."""
     parts = {}
     for index in editable:
         mask = image.labels == FIRST_PART_LABEL + index

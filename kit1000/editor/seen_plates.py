@@ -75,13 +75,7 @@ TABLE = Plate(np.array([0.0, 0.0, 1.0]), np.zeros(3), 1.0)
 
 
 def find_plates(view: View, mask: np.ndarray, noise: Noise) -> list[Plate]:
-    """The plates of the kits, the largest first.
-
-    Args:
-        view: the depth image.
-        mask: (H, W) bool, the pixels of the kits.
-        noise: of the image.
-    """
+    """The plates of the kits in a depth image, the largest first. mask: (H, W) bool, the pixels of the kits."""
     points, normals, area = oriented_points(view, mask, noise.window)
     step = 1 + len(points) // SAMPLE
     points, normals, area = points[::step], normals[::step], area * step

@@ -52,13 +52,7 @@ def shard_jobs(
 ) -> list[ShardJob]:
     """The shards of a split. The plan alone decides which scenes share a shard; unusable assemblies are left out.
 
-    Args:
-        root: folder of the dataset.
-        preset: its configuration.
-        seed: its seed.
-        split: train, val or test.
-        planned: ids of all planned assemblies of the split, in order.
-        usable: ids of the assemblies that were made.
+    planned: ids of all planned assemblies of the split, in order. usable: ids of those that were made.
     """
     jobs = []
     for first in range(0, len(planned), SCENES_PER_SHARD):

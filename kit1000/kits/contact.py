@@ -56,10 +56,8 @@ def cropped(features: ContactFeatures, low: np.ndarray, high: np.ndarray) -> Con
 def vertical_contact_offset(moving: ContactFeatures, fixed: ContactFeatures, enough: float = np.inf) -> float:
     """Distance along z that takes the moving body to first contact [m]: negative if it hangs free, -inf if it misses.
 
-    Args:
-        moving: features from below, in a frame whose z is the line of motion.
-        fixed: features from above, in the same frame.
-        enough: an offset above it [m] is not searched to its end: the result is then some number above `enough`.
+    The features of the moving body are those from below, of the fixed one from above, in a frame whose z is the line of
+    motion. An offset above `enough` [m] is not searched to its end: the result is then some number above it.
     """
     if not len(moving.vertices):
         return -np.inf

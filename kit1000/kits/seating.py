@@ -86,9 +86,6 @@ def contact_offset(
     Negative if the part hangs free, -inf if nothing is below it.
 
     Args:
-        part: the part.
-        fixed: the fixed bodies.
-        fixed_from_part: the pose.
         fixed_features: the contact features of the fixed bodies from +z of their frame. Callers that test many poses
             pass them once, for the poses whose carried axis is z.
         enough: an offset above it [m] is not searched to its end: the result is then some number above `enough`.

@@ -20,15 +20,9 @@ _CDF.setflags(write=False)
 
 
 def windowed_noise(rng: np.random.Generator, shape: tuple[int, int], windows: tuple[int, int]) -> np.ndarray:
-    """A standard normal field with the correlation of two equal windows in succession.
+    """(H, W) float32 standard normal field with the correlation of two equal windows in succession.
 
-    Args:
-        rng: source of its white noise, one number a pixel.
-        shape: (H, W).
-        windows: [px] across and down, odd; (1, 1) leaves white noise.
-
-    Returns:
-        (H, W) float32.
+    rng: gives one number a pixel. windows: [px] across and down, odd; (1, 1) leaves white noise.
     """
     white = rng.standard_normal(shape, dtype=np.float32)
     if windows == (1, 1):
@@ -46,15 +40,9 @@ def window_power(width: int) -> float:
 
 
 def smooth_field(rng: np.random.Generator, shape: tuple[int, int], window: int) -> np.ndarray:
-    """A standard normal field, close to one of a Gaussian correlation: three square windows in succession.
+    """(H, W) float32 standard normal field, close to one of a Gaussian correlation: three square windows in succession.
 
-    Args:
-        rng: source of its white noise, one number a pixel.
-        shape: (H, W).
-        window: [px] odd.
-
-    Returns:
-        (H, W) float32.
+    rng: gives one number a pixel. window: [px] odd.
     """
     kernel = np.ones(window) / window
     power = np.sum(np.convolve(np.convolve(kernel, kernel), kernel) ** 2)  # along one axis

@@ -44,13 +44,10 @@ SceneTest = Callable[[RecordedScene], bool]
 
 
 def choose_tasks(dataset: Dataset, sensor: str, seed: int, solvable: SceneTest | None = None) -> Tasks:
-    """Draw the tasks from the scenes that the robot solves.
+    """Draw the tasks from the scenes of a dataset with ground truth that the robot solves.
 
-    Args:
-        dataset: with ground truth.
-        sensor: whose depth image shows the parts.
-        seed: of the draw.
-        solvable: whether the robot seats all parts of a scene; by default the robot tries, which takes seconds.
+    sensor: whose depth image shows the parts. solvable: whether the robot seats all parts of a scene; by default it
+    tries, which takes seconds.
     """
     solvable = solvable or (lambda scene: is_reachable(scene, sensor) and robot_solves(scene, sensor, seed))
     needed = {size: SETS * SIZES.count(size) for size in SIZES}
