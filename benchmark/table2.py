@@ -138,7 +138,9 @@ def chain(
     possible = {case.query.id for case in cases if case.run.outcome not in (NO_SEAL, NOT_FROM_ABOVE)}
     rows = [_row(dataset, TRUTH, cases, possible)]
     for label, motions in predicted.items():
-        find = find_masks if _finds_masks(Path(submissions[label])) else None
+        folder = Path(submissions[label])
+        predicts_masks = folder.is_dir() and read_manifest(folder / MANIFEST, folder).masks == "predicted"
+        find = find_masks if predicts_masks else None
         rows.append(_row(dataset, label, _execute(dataset, queries, label, motions, find), possible))
     return rows
 
@@ -150,11 +152,6 @@ def _motions_of(path: Path, queries: Sequence[Query]) -> dict[str, Pose]:
     if all(row is None for row in rows.values()):
         raise InputError(f"{path}: no prediction for any of {len(rows)} queries, such as {queries[0].id}")
     return {i: Pose.identity() if row is None else predictions.motions[row] for i, row in rows.items()}
-
-
-def _finds_masks(submission: Path) -> bool:
-    """Whether the manifest of a submission states predicted masks."""
-    return submission.is_dir() and read_manifest(submission / MANIFEST, submission).masks == "predicted"
 
 
 def _execute(

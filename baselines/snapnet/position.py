@@ -146,19 +146,12 @@ def position_of(scores: Tensor, config: PositionConfig) -> Tensor:
     `peak` cell: the centre of the best cell. mean: the mean of the up to 27 cells around and including it,
     weighted by probability; where the scores are logarithms of a spread target, this is its offset exactly.
     """
-    best = best_cell(scores)  # (B, 3)
+    cells = torch.unravel_index(scores.flatten(1).argmax(dim=1), scores.shape[1:])
+    best = torch.stack(cells, dim=1).to(scores.dtype)  # (B, 3)
     if config.peak == "mean":
         best = best + mean_around(scores, best)
     middle = best.new_tensor([count // 2 for count in config.window])
     return (best - middle) * (2 * config.voxel)
-
-
-def best_cell(scores: Tensor) -> Tensor:
-    """(B, wx, wy, wz) -> (B, 3) indices of the best cell, as floats."""
-    flat = scores.flatten(1).argmax(dim=1)
-    _, y, z = scores.shape[1:]
-    cell = (flat.div(y * z, rounding_mode="floor"), flat.div(z, rounding_mode="floor") % y, flat % z)
-    return torch.stack(cell, dim=1).to(scores.dtype)
 
 
 def mean_around(scores: Tensor, best: Tensor) -> Tensor:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
@@ -12,7 +11,6 @@ import torch
 from baselines.training.batches import Batch, Task
 from baselines.training.config import TrainConfig
 from baselines.training.muon import Muon
-from kit1000.errors import InputError
 from kit1000.perception.networks.weight_files import Tensors, load_into
 from kit1000.rng import stream
 
@@ -52,13 +50,6 @@ class Descent:
         if self.config.ema_decay is not None:
             _update_average(self._average, self.model, 1 - min(self.config.ema_decay, (1 + step) / (EMA_WARMUP + step)))
         self.loss_sum += loss.detach()
-
-    def mean_loss(self, steps: int) -> float:
-        """The mean loss over the steps since the reset; raises InputError if it is not finite."""
-        loss = float(self.loss_sum) / max(steps, 1)
-        if not math.isfinite(loss):
-            raise InputError("the loss is no longer finite; a lower learning_rate, or clip, may help")
-        return loss
 
     @contextmanager
     def evaluation(self) -> Iterator[None]:

@@ -228,11 +228,12 @@ def validate(run: _Run) -> Measures:
 
 
 def _mean_loss(run: _Run) -> float:
-    """The mean loss since the last row of the log."""
-    try:
-        return run.descent.mean_loss(run.progress.steps_since_log)
-    except InputError as error:
-        raise InputError(f"step {run.progress.step}: {error}") from None
+    """The mean loss since the last row of the log; raises InputError if it is not finite."""
+    loss = float(run.descent.loss_sum) / max(run.progress.steps_since_log, 1)
+    if not math.isfinite(loss):
+        what = "the loss is no longer finite; a lower learning_rate, or clip, may help"
+        raise InputError(f"step {run.progress.step}: {what}")
+    return loss
 
 
 def _log(folder: Path, row: Mapping[str, Any]) -> int:

@@ -202,19 +202,15 @@ def component_measures(methods: Mapping[str, Sequence[Scores]]) -> dict[str, lis
 def completion_scores(completed: Volume, exact: Volume, hidden: np.ndarray) -> Scores:
     """Compare two volumes on one grid. hidden: (nx, ny, nz) bool, the voxels that the image does not show."""
     surfaces = surface_points(completed), surface_points(exact)
+    nearest = [np.rint(exact.grid.indices(points)).astype(int).T for points in surfaces]
     spaces = [
         Space(
             occupancy_iou(*(np.where(space, one.values, np.float32(np.nan)) for one in (completed, exact))),
-            _chamfer_within(surfaces, [space[_voxels(exact, points)] for points in surfaces]),
+            _chamfer_within(surfaces, [space[tuple(cells)] for cells in nearest]),
         )
         for space in (hidden, ~hidden)
     ]
     return Scores(Space(occupancy_iou(completed, exact), surface_chamfer(completed, exact)), *spaces)
-
-
-def _voxels(volume: Volume, points: np.ndarray) -> tuple[np.ndarray, ...]:
-    """The indices of the voxels nearest to points (n, 3) [m] on the surfaces in a volume."""
-    return tuple(np.rint(volume.grid.indices(points)).astype(int).T)
 
 
 def _chamfer_within(surfaces: tuple[np.ndarray, np.ndarray], within: list[np.ndarray]) -> float:

@@ -322,11 +322,6 @@ class RecordedScene:
         """The truth as one row, without images and models."""
         return self._truth_file.row(self.id)
 
-    @cached_property
-    def _world_from_kits(self) -> list[Pose]:
-        """Pose of the kit of each part."""
-        return [pose_of(part["world_from_kit"]) for part in self._truth_row["parts"]]
-
     def _truth_of(self, query_id: str, truth_row: Row) -> Truth:
         geometry = self._dataset.geometry
         row, sensor = truth_row["queries"][query_id], self._query_rows[query_id]["sensor"]
@@ -342,7 +337,7 @@ class RecordedScene:
             visible=part["visible"],
             anchor=world_from_part.xyz,
             world_from_part=world_from_part,
-            world_from_kit=self._world_from_kits[row["part"]],
+            world_from_kit=pose_of(part["world_from_kit"]),
             slot=geometry.slot(part["part_id"]),
             goal_drawn=pose_of(row["goal_drawn"]),
             crowded=truth_row["crowded"],

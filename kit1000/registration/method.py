@@ -164,14 +164,11 @@ class PartRegistration:
         self._heights: dict[Cavity, KitHeights] = {}
 
     def candidates(self) -> list[Candidate]:
-        """The candidates that differ, those first that the image contradicts least."""
+        """The candidates that differ, those first that the image contradicts least; of equal ones the better match."""
         found = find_candidates(self.shape, self.kits, self.query, self.clearance)
         most = DISTINCT_WITHOUT_GUESS if self.query.guess is None else DISTINCT
-        return self.least_contradictory(without_duplicates(found, self.shape.middle, most))
-
-    def least_contradictory(self, candidates: Sequence[Candidate]) -> list[Candidate]:
-        """The candidates, those first that the image contradicts least; of equal ones the better coarse match first."""
-        return sorted(candidates, key=lambda candidate: round(self._contradicted(candidate), CONTRADICTED_DECIMALS))
+        distinct = without_duplicates(found, self.shape.middle, most)
+        return sorted(distinct, key=lambda candidate: round(self._contradicted(candidate), CONTRADICTED_DECIMALS))
 
     def refined(self, candidate: Candidate, scales: Sequence[float]) -> tuple[Candidate, Intervals]:
         """A candidate after one pass at some scales [m], with what is left of its residuals."""

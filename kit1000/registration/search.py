@@ -208,11 +208,6 @@ class SearchWindow:
         return np.all(np.abs(world_from_plate.apply(positions) - guessed) <= self.offset, axis=-1)
 
 
-def lies_on(down_normal: np.ndarray) -> bool:
-    """Whether a part lies on its face of this outward normal (3,) in the world."""
-    return bool(down_normal[2] < UPRIGHT)
-
-
 def coarse_search(
     part: Volume,
     middle: np.ndarray,
@@ -238,7 +233,7 @@ def coarse_search(
     occupied = part.grid.world(np.argwhere(part.occupied))
     for down_normal in down_normals:
         oriented = OrientedPart(part, middle, down_normal)
-        upright = lies_on(down_normal)
+        upright = bool(down_normal[2] < UPRIGHT)  # the part lies on this face already
         tall = height if upright and height is not None else float(np.ptp(matmul(occupied, down_normal)))
         expected = insertion_depth(tall)
         for number, whole in enumerate(cavities):

@@ -67,11 +67,12 @@ class OutlineEdge:
         return self.side * np.eye(3)[self.axis]
 
     def line(self, camera: Camera, pose: Pose) -> Line:
-        """The normal of the plane through camera and edge, in pixels."""
+        """The edge in the image: a, b, c such that a u + b v + c is 0 on it."""
         x, y, _ = self.outward
         on_edge = self.outward * HALF_SIZES[self.axis]
         normal = matmul(np.cross((-y, x, 0.0), on_edge - pose.xyz), pose.rotation_matrix())
-        return _in_pixels(normal, camera)
+        a, b = normal[0] / camera.fx, normal[1] / camera.fy
+        return float(a), float(b), float(normal[2] - a * camera.cx - b * camera.cy)
 
     def shown(self, pose: Pose, points: np.ndarray) -> np.ndarray:
         """Along the edge. Nowhere if the camera is outside: from there the side of the table continues below it."""
@@ -158,12 +159,6 @@ def _on_line(line: Line, columns: bool, lines: np.ndarray) -> np.ndarray:
     """(n,) [px] where a line crosses columns or rows (n,) [px]."""
     a, b, c = line
     return -(a * lines + c) / b if columns else -(b * lines + c) / a
-
-
-def _in_pixels(normal: np.ndarray, camera: Camera) -> Line:
-    """a, b, c such that a u + b v + c is the product of a vector (3,) with the ray of pixel (u, v), of depth 1."""
-    a, b = normal[0] / camera.fx, normal[1] / camera.fy
-    return float(a), float(b), float(normal[2] - a * camera.cx - b * camera.cy)
 
 
 def _without_dropouts(places: np.ndarray, beyond: np.ndarray) -> np.ndarray:

@@ -77,7 +77,7 @@ def framed(
     grid = _grid(lowered, image.labels == label)
     if grid is None:
         return None
-    crop = _cropped_to(grid, LabelledDepth(lowered, image.labels))
+    crop = cropped(LabelledDepth(lowered, image.labels), pixel_box(grid, lowered.camera, lowered.world_from_camera))
     view = flattened(crop.view, crop.labels) if flat else crop.view
     values = tsdf(grid, view, crop.labels == label, TRUNCATION, threads=1).values
     codes = np.rint(CODE * np.where(np.isnan(values), np.float32(-1), values)).astype(np.int8)
@@ -144,11 +144,6 @@ def _grid(view: View, mask: np.ndarray) -> Grid | None:
         return None
     x, y, _ = Pose.from_rotvec((0.0, 0.0, extents.yaw)).apply((*extents.middle[:2], 0.0))
     return grid_at(float(x), float(y), extents.yaw)
-
-
-def _cropped_to(grid: Grid, image: LabelledDepth) -> LabelledDepth:
-    """The image, cropped to the pixels that a grid projects to."""
-    return cropped(image, pixel_box(grid, image.view.camera, image.view.world_from_camera))
 
 
 def packed(volume: np.ndarray) -> np.ndarray:

@@ -116,10 +116,5 @@ def observed_points(query: Query, mask: np.ndarray, most: int | None = None) -> 
 
     With `most`, every k-th of them, so that there are no more than that.
     """
-    view = query.view
-    v, u = np.nonzero(mask & (view.depth > 0))
-    if most is not None:
-        step = -(-len(v) // most) or 1
-        v, u = v[::step], u[::step]
-    points = view.camera.unproject_pixels(np.stack([u, v], axis=-1), view.depth[v, u])
-    return view.world_from_camera.apply(points)
+    points = pixel_points(query.view, mask)
+    return points if most is None else points[:: -(-len(points) // most) or 1]

@@ -99,18 +99,12 @@ def median_of_shifts(predict: Callable[[Box], np.ndarray], box: Box, side: int, 
 
     predict: called with a box: (..., h, w).
     """
-    boxes = shifted_boxes(box, side, camera)
-    return np.median([predict(wide)[(..., *inside)] for wide, inside in boxes], axis=0)
-
-
-def shifted_boxes(box: Box, side: int, camera: Camera) -> list[tuple[Box, Box]]:
-    """Boxes that hold another one and begin STARTS before it, and where it is in each of them."""
-    boxes = [shifted_box(box, start, side, camera) for start in STARTS]
-    return [(wide, (_within(box[0], wide[0]), _within(box[1], wide[1]))) for wide in boxes]
-
-
-def _within(span: slice, wide: slice) -> slice:
-    return slice(span.start - wide.start, span.stop - wide.start)
+    found = []
+    for start in STARTS:
+        wide = shifted_box(box, start, side, camera)
+        inside = (slice(at.start - w.start, at.stop - w.start) for at, w in zip(box, wide, strict=True))
+        found.append(predict(wide)[(..., *inside)])
+    return np.median(found, axis=0)
 
 
 def shifted_box(box: Box, start: tuple[int, int], side: int, camera: Camera) -> Box:

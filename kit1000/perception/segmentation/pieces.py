@@ -75,11 +75,12 @@ def connected(mask: np.ndarray, joined: list[np.ndarray]) -> np.ndarray:
     """(h, w) int: labels from 1 of the connected components of a mask, in the order of their first pixels."""
     number = np.zeros(mask.shape, int)
     number[mask] = np.arange(mask.sum())
-    rows, columns = (
-        np.concatenate([pair[k][edge & _both(mask, axis)] for axis, edge in zip(AXES, joined, strict=True)
-                        for pair in [neighbours(number, axis)]])
-        for k in range(2)
-    )  # fmt: skip
+    pairs = []
+    for axis, edge in zip(AXES, joined, strict=True):
+        (first, second), (inside, next_inside) = neighbours(number, axis), neighbours(mask, axis)
+        there = edge & inside & next_inside
+        pairs.append((first[there], second[there]))
+    rows, columns = map(np.concatenate, zip(*pairs, strict=True))
     count = int(mask.sum())
     graph = coo_matrix((np.ones(len(rows), bool), (rows, columns)), shape=(count, count))
     labels = np.zeros(mask.shape, int)
@@ -90,11 +91,6 @@ def connected(mask: np.ndarray, joined: list[np.ndarray]) -> np.ndarray:
 def neighbours(image: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray]:
     """Views of all pixels that have a next one along an axis, and of those next ones."""
     return (image[:-1], image[1:]) if axis == 0 else (image[:, :-1], image[:, 1:])
-
-
-def _both(mask: np.ndarray, axis: int) -> np.ndarray:
-    first, second = neighbours(mask, axis)
-    return first & second
 
 
 def _without_step(depth: np.ndarray, mask: np.ndarray, axis: int, most: float) -> np.ndarray:
