@@ -7,8 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.stats import norm
 
 from kit1000.camera import Camera, look_at
@@ -283,23 +281,6 @@ def test_pixels_show_the_surfaces_that_they_look_at(name: str, monkeypatch: pyte
 
 
 SMALL_STEREO = Camera(160, 120, 925.0, 925.0, 79.5, 59.5)
-
-
-def two_walls(near: float, far: float) -> np.ndarray:
-    """Disparities, with the border, of a far wall and of a near one in front of columns 250 to 389."""
-    depth = np.full((40, 400), far, np.float32)
-    depth[:, 250:390] = near
-    return disparity_from_depth(depth, np.float32(GAIN))
-
-
-@given(near=st.floats(0.4, 0.9), behind=st.floats(0.05, 1.0))
-@settings(max_examples=30)
-def test_shadows_are_left_of_near_bodies_and_as_wide_as_the_step_in_disparity(near: float, behind: float) -> None:
-    band = int(np.ceil(GAIN / (near + behind)))  # columns outside the other image
-    columns = np.flatnonzero(occlusion_mask(two_walls(near, near + behind), 0.0)[20, 1:-1][band + 1 :]) + band + 1
-    step = GAIN / near - GAIN / (near + behind)
-    assert columns.size == pytest.approx(step, abs=1.0)
-    np.testing.assert_array_equal(columns, np.arange(250 - columns.size, 250))
 
 
 @pytest.mark.parametrize(("polar", "radius"), [(0.5, 0.6), (0.9, 0.8), (1.25, 0.9)])
