@@ -145,14 +145,6 @@ def test_missing_and_foreign_files_are_named(stem: Path) -> None:
         load_weights(stem)
 
 
-def test_weights_are_loaded_into_a_network_in_place() -> None:
-    model, other = network(0), network(1)
-    memory = other.get_parameter("0.weight").data_ptr()
-    load_into(other, copied_state(model), "here")
-    assert same(copied_state(other), copied_state(model))
-    assert other.get_parameter("0.weight").data_ptr() == memory
-
-
 @pytest.mark.parametrize("make", [PartCompleter, KitCompleter, PartFinder, Placer, Restorer])
 def test_weights_of_another_network_are_refused(stem: Path, make: Callable[[Path], Any]) -> None:
     save_weights(stem, network(), {"about": {"network": {"widths": [8, 8, 8]}}})

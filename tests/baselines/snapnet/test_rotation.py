@@ -117,18 +117,6 @@ def test_rotation_is_that_of_poses_and_the_same_alone_to_the_bit():
     assert torch.equal(result[:, 3:4], rotated(part, rotations[:, 3:4]))
 
 
-def test_a_set_abstraction_ignores_the_order_of_members_and_a_shift_of_the_scene():
-    torch.manual_seed(0)
-    level = SetAbstraction(0, [[8, 8], [8, 12]]).eval()
-    points = torch.randn(50, 4)
-    members = [torch.randint(50, (10, 6)), torch.randint(50, (10, 9))]
-    groups = Groups(torch.arange(10), members)
-    result = level(points, None, groups)
-    shuffled = Groups(groups.centres, [index[:, torch.randperm(index.shape[1])] for index in members])
-    torch.testing.assert_close(level(points, None, shuffled), result)
-    torch.testing.assert_close(level(points + torch.tensor([3.0, -2, 1, 0.5]), None, groups), result)
-
-
 @pytest.mark.parametrize("config", [TOY, replace(TOY, centres=(25, 9), kit_distance=False)])
 def test_logits_are_those_of_a_plain_network_with_the_same_weights(config):
     net = random_net(config)
