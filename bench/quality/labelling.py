@@ -10,7 +10,7 @@ image. "Relative" is the pose of a part relative to the kits; a score depends on
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import process_time
 from typing import Any, Literal
@@ -24,7 +24,13 @@ from benchmark.measurements import Column, Measurement, estimate, rate
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.known_shapes.disparity import DisparityImage
 from kit1000.known_shapes.known_kits import KITS
-from kit1000.known_shapes.registration import RegisteredBody, RegisteredScene, register_scene, registered_from
+from kit1000.known_shapes.registration import (
+    RegisteredBody,
+    RegisteredScene,
+    register_scene,
+    registered_from,
+    stated_scale,
+)
 from kit1000.known_shapes.scene_search import SceneSearch
 from kit1000.known_shapes.shapes import KnownShape, ShapeDistance, StandingShape
 from kit1000.known_shapes.support import seen_support
@@ -92,6 +98,8 @@ class Labelling:
     """Unit of the depths."""
     masks: Literal["found", "given"] = "found"
     """Masks that are found in the depth image, as an import finds them, or those of the dataset."""
+    stated_pose: bool = False
+    """With the recorded pose of the camera, whose height is off by 0.9 mm: it tells the depth scale."""
     out: Path | None = None
     """JSON file of the tables, such as results/labelling.json."""
 
@@ -102,8 +110,11 @@ def main(options: Labelling) -> None:
     chosen = [scene for split in options.splits for scene in list(dataset.split(split, truth=True))[: options.scenes]]
     for recorded in tqdm(chosen, desc="scenes", unit="", disable=None):
         image = rounded_image(recorded, options.unit_mm / MM)
-        rows += list(scene_rows(recorded, with_found_masks(image) if options.masks == "found" else image))
-    add_tables(measurement, rows, f"{len(chosen)} scenes, depths in {options.unit_mm:g} mm, masks {options.masks}")
+        masked = with_found_masks(image) if options.masks == "found" else image
+        rows += list(scene_rows(recorded, masked, options.stated_pose))
+    pose = ", camera's pose stated" if options.stated_pose else ""
+    setting = f"{len(chosen)} scenes, depths in {options.unit_mm:g} mm, masks {options.masks}{pose}"
+    add_tables(measurement, rows, setting)
     measurement.report(options.out)
 
 
@@ -122,10 +133,12 @@ def with_found_masks(image: LabelledDepth) -> LabelledDepth:
     return LabelledDepth(image.view, segmented(image.view, simulated_sensor(SENSOR), 1.0, restorer, finder))
 
 
-def scene_rows(recorded: RecordedScene, image: LabelledDepth) -> Iterator[Row]:
+def scene_rows(recorded: RecordedScene, image: LabelledDepth, stated_pose: bool = False) -> Iterator[Row]:
     """The errors of each body of a scene; all rows hold those of the depth scale."""
     (kits, kits_pose), *parts = recorded.bodies()[1:]
     sensor = sensor_of(recorded.split.dataset.summary, SENSOR)
+    if stated_pose:
+        sensor = replace(sensor, height_ratio=-seen_support(image).offset / image.view.world_from_camera.xyz[2])
     shown = set(np.unique(recorded.labelled_depth(SENSOR).labels).tolist())
     names = {f"part {i}": i for i in range(len(parts)) if FIRST_PART_LABEL + i in shown}
     shapes = [KnownShape.of(name, parts[i][0]) for name, i in names.items()]
@@ -168,7 +181,7 @@ def _refined_truth(
     search = SceneSearch(DisparityImage.of(image, sensor, seen_support(image)), image.labels)
     support = search.image.support
     start = (StandingShape.by_pose(shape, support, pose, scale) for shape, pose in zip(shapes, poses, strict=True))
-    return registered_from(search, list(start))
+    return registered_from(search, list(start), stated_scale(sensor, -support.offset))
 
 
 def _body_row(body: RegisteredBody, found: RegisteredScene, mesh: Mesh, true: Pose, symmetry: Symmetry) -> Row:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -98,7 +98,9 @@ def own_scene(
     if pose is None:
         world = world_of_bodies(table, chosen[0], chosen[1:])
     else:
-        world = world_of_pose(table, read_pose(pose), str(pose))
+        given = read_pose(pose)
+        world = world_of_pose(table, given, str(pose))
+        facts = replace(facts, height_ratio=round(table.distance / float(given.xyz[2]), 6))
     labels = np.zeros(image.depth.shape, np.uint8)
     for number, body in enumerate(chosen):
         labels[body.mask] = ASSEMBLY_LABEL if number == 0 else FIRST_PART_LABEL + number - 1

@@ -12,7 +12,14 @@ import numpy as np
 
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
-from kit1000.known_shapes.registration import SCALE_SPREAD, RegisteredBody, RegisteredScene, register_scene
+from kit1000.known_shapes.registration import (
+    SCALE_SPREAD,
+    DepthScale,
+    RegisteredBody,
+    RegisteredScene,
+    register_scene,
+    stated_scale,
+)
 from kit1000.known_shapes.shapes import KITS, KnownShape
 from kit1000.known_shapes.support import Support, recorded_support, seen_support
 from kit1000.mesh import Mesh
@@ -181,10 +188,14 @@ class KnownShapeRegistration:
 
     def _register(self, query: Query, shapes: SceneShapes) -> _Registered:
         sensor = sensor_of(self.dataset.summary, query.sensor, query.scene_id)
-        image, support, spread = _calibrated(query.image, sensor)
+        image, support, scale = _calibrated(query.image, sensor)
         parts = [KnownShape.of(name, mesh) for name, mesh in shapes.parts.items()]
-        scene = register_scene(image, sensor, KnownShape.upright(KITS, shapes.assembly), parts, spread, support)
-        return _Registered(scene, image.view.world_from_camera)
+        scene = register_scene(image, sensor, KnownShape.upright(KITS, shapes.assembly), parts, scale, support)
+        world_from_camera = image.view.world_from_camera
+        if not sensor.simulated_table:  # its height over the table was measured
+            x, y, z = world_from_camera.xyz
+            world_from_camera = Pose(world_from_camera.wxyz, np.array([x, y, z / scene.scale]))
+        return _Registered(scene, world_from_camera)
 
 
 def agreed_motions(images: Sequence[Sequence[PredictedMotion]], middle: np.ndarray) -> list[PredictedMotion]:
@@ -215,16 +226,17 @@ def _given(query: Query, shapes: SceneShapes | None) -> SceneShapes:
     return shapes
 
 
-def _calibrated(image: LabelledDepth, sensor: SensorFacts) -> tuple[LabelledDepth, Support, float]:
-    """An image with the camera and the depths that its table shows, the table, and the spread of the depth scale."""
+def _calibrated(image: LabelledDepth, sensor: SensorFacts) -> tuple[LabelledDepth, Support, DepthScale]:
+    """An image with the camera and the depths that its table shows, the table, and what is known of the depth scale."""
     if sensor.kind.exact:
-        return image, recorded_support(image), 1e-5
+        return image, recorded_support(image), DepthScale(spread=1e-5)
     if not sensor.simulated_table:  # its world was made of the image, so its table tells nothing about the scale
-        return image, seen_support(image), SCALE_SPREAD
+        support = seen_support(image)
+        return image, support, stated_scale(sensor, -support.offset)
     estimate = camera_estimate_by(image.view, image.labels, sensor)
     calibrated = LabelledDepth(estimate.view, image.labels)
     spread = float(np.sqrt(np.linalg.inv(estimate.information)[6, 6])) * SCALE_SPREAD
-    return calibrated, recorded_support(calibrated), spread
+    return calibrated, recorded_support(calibrated), DepthScale(spread=spread)
 
 
 def _confidence(scene: RegisteredScene, kits: RegisteredBody, part: RegisteredBody) -> float:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from kit1000.pose import Pose
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth
 
 SCALE_SPREAD = 1.7e-3  # of the depth scale of a stereo camera: uniform within 0.3 %
+STATED_SPREAD = 0.9e-3  # [m] of a stated height: along one axis, if hand-eye positions are off by 1.5 mm
 EDGE_CORRELATION = 25.0  # by which edges that vary slowly make the scale less certain than independent pixels would
 SCALE_SPREAD_A_PX = 0.4e-3  # of the scale by one shape, for each pixel by which edges extend: 2.3e-3 for a D415 (val)
 LEAST_SCALE_SPREAD = 1e-4
@@ -28,6 +30,26 @@ GOOD, CLEAR_LEAD = 0.03, 50.0  # unexplained share and lead of a certain pose: o
 MOST_SCALE = 3 * SCALE_SPREAD  # beyond, no camera is believed
 MOST_SPREAD = 1.25e-3  # [m] of a body along the line of sight
 SAME_POSE = 3e-3  # [m] by which the surfaces of two poses differ that count as one
+
+
+class DepthScale(NamedTuple):
+    """Measured over true depth, as far as it is known."""
+
+    value: float = 1.0
+    spread: float = SCALE_SPREAD
+    """Standard deviation."""
+
+
+def stated_scale(sensor: SensorFacts, height: float) -> DepthScale:
+    """The depth scale of an own camera by its stated pose, if there is one that can be right.
+
+    height: [m] of the camera above the table.
+    """
+    ratio = sensor.height_ratio
+    if ratio is None or abs(ratio - 1) > MOST_SCALE:
+        return DepthScale()
+    before, stated = SCALE_SPREAD**-2, (STATED_SPREAD / height) ** -2
+    return DepthScale(1 + (ratio - 1) * stated / (before + stated), (before + stated) ** -0.5)
 
 
 @dataclass(frozen=True)
@@ -100,7 +122,7 @@ def register_scene(
     sensor: SensorFacts,
     kits: KnownShape,
     parts: Sequence[KnownShape],
-    scale_spread: float = SCALE_SPREAD,
+    scale: DepthScale | None = None,
     support: Support | None = None,
 ) -> RegisteredScene:
     """Find known shapes in a depth image.
@@ -110,7 +132,7 @@ def register_scene(
         sensor: that took it.
         kits: all kits as one shape.
         parts: those of the scene, in any order; fewer than it shows parts is allowed.
-        scale_spread: standard deviation of the depth scale about 1, before the sizes of the shapes tell it.
+        scale: of the depths, before the sizes of the shapes tell it; None: what the sensor and a stated pose tell.
         support: the table; None: the plane that its depths show.
 
     Raises:
@@ -118,12 +140,15 @@ def register_scene(
     """
     table = support or seen_support(image)
     search = SceneSearch(DisparityImage.of(image, sensor, table), image.labels)
-    return registered_from(search, search.bodies(kits, parts), scale_spread)
+    return registered_from(search, search.bodies(kits, parts), scale or stated_scale(sensor, -table.offset))
 
 
-def registered_from(search: SceneSearch, bodies: Bodies, scale_spread: float = SCALE_SPREAD) -> RegisteredScene:
-    """The scene refined from places that are within some millimetres; moves the bodies."""
-    scale, spread = _depth_scale(search.image, bodies, scale_spread)
+def registered_from(search: SceneSearch, bodies: Bodies, before: DepthScale | None = None) -> RegisteredScene:
+    """The scene refined from places that are within some millimetres; moves the bodies.
+
+    before: the depth scale without the sizes of the shapes; None: that of any stereo camera.
+    """
+    scale, spread = _depth_scale(search.image, bodies, before or DepthScale())
     search.refine(bodies, FINE, scale)
     found = [body for body in bodies if body is not None]
     labels = [ASSEMBLY_LABEL, *(_mask_of(body, search, scale) for body in found[1:])]
@@ -134,9 +159,9 @@ def registered_from(search: SceneSearch, bodies: Bodies, scale_spread: float = S
     return RegisteredScene(tuple(registered), search.image.support, scale, spread)
 
 
-def _depth_scale(image: DisparityImage, bodies: Bodies, before: float) -> tuple[float, float]:
-    """The depth scale by the sizes of all bodies, and its standard deviation. before: the same without them."""
-    certainty, total = before**-2, 0.0
+def _depth_scale(image: DisparityImage, bodies: Bodies, before: DepthScale) -> DepthScale:
+    """The depth scale by the sizes of all bodies too. before: without them."""
+    certainty, total = before.spread**-2, before.spread**-2 * float(np.log(before.value))
     least = max(SCALE_SPREAD_A_PX * image.extension, LEAST_SCALE_SPREAD)
     for body in bodies:
         if body is None:
@@ -144,7 +169,7 @@ def _depth_scale(image: DisparityImage, bodies: Bodies, before: float) -> tuple[
         found = fit(image, body, neighbours(body, bodies, GAP), reaches=FINE[1:], free_scale=True)
         own = 1 / (EDGE_CORRELATION * found.covariance[3, 3] + least**2)
         certainty, total = certainty + own, total + own * found.log_scale
-    return float(np.exp(total / certainty)), float(certainty**-0.5)
+    return DepthScale(float(np.exp(total / certainty)), float(certainty**-0.5))
 
 
 def _agreement(body: StandingShape, bodies: Sequence[StandingShape], search: SceneSearch, scale: float) -> Agreement:

@@ -41,6 +41,8 @@ class SensorFacts:
     """Whether the table is that of generated scenes, 1.2 m x 1.6 m about the origin."""
     scanner: bool = False
     """Whether it is a structured-light scanner, which keeps edges sharp, and no stereo camera."""
+    height_ratio: float | None = None
+    """Measured over stated height of the camera above its table; None: no pose was stated."""
 
     @property
     def kind(self) -> ImageKind:

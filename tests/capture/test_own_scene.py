@@ -165,6 +165,7 @@ def test_a_given_pose_keeps_the_frame_of_the_user(tmp_path: Path, matrix: bool) 
     found = scene_of(millimetres(exact_depth()), pose=pose_file(tmp_path, off @ EYE, matrix))
     np.testing.assert_allclose(found.world.world_from_camera.xyz, EYE.xyz, atol=8e-3)
     assert found.world.world_from_camera.xyz[2] == pytest.approx(EYE.xyz[2], abs=0.5e-3)
+    assert found.facts.height_ratio == pytest.approx(EYE.xyz[2] / (off @ EYE).xyz[2], abs=1e-3)
     assert any("corrected" in line for line in report(found, None))
 
 
