@@ -255,6 +255,8 @@ def read_rows(text: str, file: str) -> Rows | Fault:
     head = next(i for i, line in enumerate(lines) if line.strip())
     if len(lines[head]) > LONGEST_LINE or tuple(_fields(lines[head].strip())) != HEADER:
         repair = "write it above the rows, with commas between the columns and decimal points in the numbers"
+        if lines[head].startswith("sep="):
+            repair = "delete this line, which a spreadsheet wrote"
         actual = f"the first line is {quote(lines[head])}"
         return Fault(file, head + 1, "header", actual, f"the header {','.join(HEADER)}", repair)
     broken, count = list[Fault](), 0

@@ -183,6 +183,7 @@ def test_the_shared_cases_are_refused_in_one_line() -> None:
     (fault,) = check(folder / "sep-line.csv").faults
     assert (fault.code, fault.line) == ("header", 1)
     assert ",".join(HEADER) in str(fault)
+    assert "delete this line" in str(fault)
 
 
 SECRET = "secret-of-another-user"
