@@ -269,9 +269,10 @@ def _opened(task: Task, config: TrainConfig, folder: Path, settings: dict[str, A
     """A run at its start, or at its last checkpoint."""
     if (folder / CONFIG).exists():
         _check_same(folder, read_json(folder / CONFIG), settings)
-    for name in () if (folder / CONFIG).exists() else (LOG, f"{BEST}.json", f"{BEST}.safetensors", CHECKPOINT):
-        if (folder / name).exists():
-            raise InputError(f"{folder}: holds {name}, but no {CONFIG} of a run; it stays: choose another folder")
+    else:
+        for name in (LOG, f"{BEST}.json", f"{BEST}.safetensors", CHECKPOINT):
+            if (folder / name).exists():
+                raise InputError(f"{folder}: holds {name}, but no {CONFIG} of a run; it stays: choose another folder")
     run = _Run(task, config, folder, settings, Descent(task, config, device), _Progress())
     if (folder / CHECKPOINT).exists():
         state = read_checkpoint(folder / CHECKPOINT)

@@ -73,10 +73,11 @@ def _image_file(source: Path) -> Path:
         raise InputError(f"{source}: no such file; {did_you_mean(source.name, near)}".rstrip("; "))
     suffix = source.suffix.lower()
     if suffix not in SUFFIXES:
-        others = (
-            "unpack it by zstd -d" if suffix in PACKED else "save depth as 16-bit PNG or .npy, of a point cloud its z"
-        )
-        advice = ROSBAGS if suffix in BAGS else others
+        advice = "save depth as 16-bit PNG or .npy, of a point cloud its z"
+        if suffix in BAGS:
+            advice = ROSBAGS
+        elif suffix in PACKED:
+            advice = "unpack it by zstd -d"
         raise InputError(
             f"{source}: {suffix or 'no suffix'} is not read, expected {', '.join((*SUFFIXES, RECORDING))}: {advice}"
         )

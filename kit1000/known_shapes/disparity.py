@@ -98,8 +98,14 @@ class DisparityImage:
         measured = self.measured[::2, ::2]
         height, width = measured.shape
         small = Camera(width, height, camera.fx / 2, camera.fy / 2, camera.cx / 2, camera.cy / 2)
-        edges = {"extension": self.extension / 2, "ramp": self.ramp / 2, "amounts": FEW_AMOUNTS}
-        return replace(self, camera=small, measured=measured, **edges)
+        return replace(
+            self,
+            camera=small,
+            measured=measured,
+            extension=self.extension / 2,
+            ramp=self.ramp / 2,
+            amounts=FEW_AMOUNTS,
+        )
 
     @cached_property
     def table(self) -> np.ndarray:

@@ -12,16 +12,9 @@ import numpy as np
 
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
-from kit1000.known_shapes.registration import (
-    SCALE_SPREAD,
-    DepthScale,
-    RegisteredBody,
-    RegisteredScene,
-    register_scene,
-    stated_scale,
-)
+from kit1000.known_shapes.registration import SCALE_SPREAD, DepthScale, RegisteredBody, RegisteredScene, register_scene
 from kit1000.known_shapes.shapes import KITS, KnownShape
-from kit1000.known_shapes.support import Support, recorded_support, seen_support
+from kit1000.known_shapes.support import Support, recorded_support
 from kit1000.mesh import Mesh
 from kit1000.perception.calibration import camera_estimate_by
 from kit1000.perception.sensor_facts import SensorFacts, sensor_of
@@ -226,13 +219,15 @@ def _given(query: Query, shapes: SceneShapes | None) -> SceneShapes:
     return shapes
 
 
-def _calibrated(image: LabelledDepth, sensor: SensorFacts) -> tuple[LabelledDepth, Support, DepthScale]:
-    """An image with the camera and the depths that its table shows, the table, and what is known of the depth scale."""
+def _calibrated(image: LabelledDepth, sensor: SensorFacts) -> tuple[LabelledDepth, Support | None, DepthScale | None]:
+    """An image with the camera and the depths that its table shows, the table, and what is known of the depth scale.
+
+    None for a table or a scale that only the image itself and its sensor tell.
+    """
     if sensor.kind.exact:
         return image, recorded_support(image), DepthScale(spread=1e-5)
     if not sensor.simulated_table:  # its world was made of the image, so its table tells nothing about the scale
-        support = seen_support(image)
-        return image, support, stated_scale(sensor, -support.offset)
+        return image, None, None
     estimate = camera_estimate_by(image.view, image.labels, sensor)
     calibrated = LabelledDepth(estimate.view, image.labels)
     spread = float(np.sqrt(np.linalg.inv(estimate.information)[6, 6])) * SCALE_SPREAD

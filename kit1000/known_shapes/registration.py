@@ -143,12 +143,12 @@ def register_scene(
     return registered_from(search, search.bodies(kits, parts), scale or stated_scale(sensor, -table.offset))
 
 
-def registered_from(search: SceneSearch, bodies: Bodies, before: DepthScale | None = None) -> RegisteredScene:
+def registered_from(search: SceneSearch, bodies: Bodies, before: DepthScale) -> RegisteredScene:
     """The scene refined from places that are within some millimetres; moves the bodies.
 
-    before: the depth scale without the sizes of the shapes; None: that of any stereo camera.
+    before: the depth scale without the sizes of the shapes.
     """
-    scale, spread = _depth_scale(search.image, bodies, before or DepthScale())
+    scale, spread = _depth_scale(search.image, bodies, before)
     search.refine(bodies, FINE, scale)
     found = [body for body in bodies if body is not None]
     labels = [ASSEMBLY_LABEL, *(_mask_of(body, search, scale) for body in found[1:])]

@@ -96,7 +96,7 @@ class SceneSearch:
         if not found:
             raise InputError("the image shows no kits of this shape")
         standing = fit(self.image, found[0].shape, reaches=2 * FINE).shape
-        if self.window(standing, ()).explained(standing).misfit > BADLY:
+        if self.image.window(standing).explained(standing).misfit > BADLY:
             near = [each.at(each.place + move) for _, each in found for move in NEARBY]
             found = self._refined(near, KIT_REFINED)
             standing = fit(self.image, found[0].shape, reaches=2 * FINE).shape
