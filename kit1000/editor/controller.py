@@ -77,7 +77,7 @@ class Controller:
             "redo": lambda _: self._step("redo"),
             "take-all": lambda _: self._take_all(),
             "confirm-all": lambda _: self._confirm(
-                *(part for part, edit in self.space.session.edits.items() if edit.snapped)
+                *(part for part, edit in self.space.part_edits.items() if edit.snapped)
             ),
             "reset-all": lambda _: self._do(Step("put all back", self.space.put_back(self.space.edited))),
         }
@@ -227,9 +227,11 @@ class Controller:
         """What the method has found of the known shapes of the scene."""
         if completion.shapes is not None:
             self.space.know(completion.shapes)
+            self._save()
             self.display.know_shapes()
         elif completion.failure:
-            self.display.note(texts.no_shapes(completion.failure))
+            self.space.not_found = texts.no_shapes(completion.failure)
+            self.display.update()
 
     # What follows from them.
 
@@ -323,16 +325,22 @@ class Controller:
 
     def _adopt(self) -> None:
         """Save and show the session, and go on from it."""
+        self.space.adopt(self.space.session)
+        self._save()
+        self._ask()
+        self.display.update()
+
+    def _save(self) -> None:
+        """Write the confirmed parts."""
         space, header = self.space, self.log.header
-        space.adopt(space.session)
         answered = answered_queries(space.scene.recorded.queries, header.sensor)
         folder, dataset = self.log.path.parent, space.scene.dataset
         write_predictions_of(folder, dataset, header, answered, space.session)
         if self._picks is not None:
             moves = moves_of(space.scene, space.session, space.pointing, self._picks)
-            write_moves(folder, dataset.id, header.key(), moves)
-        self._ask()
-        self.display.update()
+            unseen = space.session.edits.keys() - space.scene.parts
+            kept = [part for part in unseen if space.session.edits[part].confirmed]
+            write_moves(folder, dataset.id, header.key(), moves, kept)
 
     def _ask(self) -> None:
         """Ask the method about the body in the hand, if it has not answered to its pose."""

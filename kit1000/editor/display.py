@@ -75,9 +75,8 @@ class Display:
         sought = space.sought()
         self.stage.progress(1 - len(sought) / max(len(space.scene.parts), 1))
         self.stage.say("note", "")
-        edits = {part: space.session.edits[part] for part in space.scene.parts}
-        in_hand = self._part_in_hand()
-        self.stage.say("parts", texts.parts_list(edits, in_hand, sought, space.scene.known))
+        in_hand, known = self._part_in_hand(), space.scene.known
+        self.stage.say("parts", texts.parts_list(space.part_edits, in_hand, sought, known, space.not_found))
         self.stage.say("fit", self._fit_text())
         self._gizmo()
 
@@ -168,7 +167,7 @@ class Display:
     def _fit_text(self) -> str:
         """The part in the hand, where it may snap, how it lies, and what can be done next."""
         space, body = self.workspace, self.workspace.selected
-        done = all(space.session.edits[part].confirmed for part in space.scene.parts)
+        done = all(edit.confirmed for edit in space.part_edits.values())
         if body is None:
             return texts.ALL_DONE if done else texts.BEGIN[space.interface]
         part = space.carried(body)

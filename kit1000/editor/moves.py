@@ -7,7 +7,7 @@ frames, so that a program needs no further computation; when it is read back, on
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -103,8 +103,13 @@ def read_moves(path: str | Path) -> list[Move]:
     return _checked(file, read_json(file)).moves
 
 
-def write_moves(folder: Path, dataset_id: str, key: tuple[str, str], moves: Sequence[Move]) -> None:
-    """Write the moves of a scene and sensor into a folder, beside those of others; no file if there are none."""
+def write_moves(
+    folder: Path, dataset_id: str, key: tuple[str, str], moves: Sequence[Move], kept: Collection[int] = ()
+) -> None:
+    """Write the moves of a scene and sensor into a folder, beside those of others; no file if there are none.
+
+    kept: parts of the scene whose moves stay as the file has them.
+    """
     path, others = folder / FILE, []
     if path.is_file():
         found = read_json(path)
@@ -112,7 +117,7 @@ def write_moves(folder: Path, dataset_id: str, key: tuple[str, str], moves: Sequ
         if known.dataset_id != dataset_id:
             raise InputError(f"{path}: is about dataset {known.dataset_id}, not {dataset_id}; choose another --out")
         pairs = zip(found["moves"], known.moves, strict=True)
-        others = [row for row, move in pairs if (move.scene, move.sensor) != key]
+        others = [row for row, move in pairs if (move.scene, move.sensor) != key or move.part in kept]
     rows = sorted([*others, *map(_row, moves)], key=lambda row: (row["scene"], row["sensor"], row["part"]))
     if rows:
         write_json(path, {"format": FORMAT, "dataset_id": dataset_id, "moves": rows})

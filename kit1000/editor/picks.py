@@ -80,7 +80,7 @@ def moves_of(scene: EditedScene, session: Session, pointing: Pointing, picks: di
         edit = session.edits.get(part)
         if edit is None or not edit.confirmed:
             continue
-        image = scene.recorded.labelled_depth(scene.sensor)
+        image = scene.image
         if part not in picks:
             picks[part] = find_pick(image, part, scene.sensor)
         plate = pointing.below(edit.goal_from_now.apply(scene.pivot(part)))

@@ -72,8 +72,9 @@ class EventLog:
         _drop_cut_line(self.path)
 
     def restored(self, edited: tuple[int, ...]) -> Session:
-        """The session as the log has it. edited: what it has edits of."""
-        session = Session.begin(edited)
+        """The session as the log has it, also of parts that the page does not show yet. edited: what has edits."""
+        logged = {int(part) for row in self.rows for part in row.get("edits", ())}
+        session = Session.begin((*edited, *(logged - {*edited})))
         for row in self.rows:
             session = _applied(session, row)
         return session

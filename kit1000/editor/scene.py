@@ -18,7 +18,8 @@ from kit1000.errors import InputError
 from kit1000.mesh import Mesh
 from kit1000.perception.sensor_facts import simulated_sensor
 from kit1000.pose import Pose
-from kit1000.values import ASSEMBLY_LABEL, Query, View
+from kit1000.sim.render import render
+from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, Query, View
 
 if TYPE_CHECKING:
     from kit1000.known_shapes.predictor import FoundShapes
@@ -39,6 +40,8 @@ class EditedScene:
     """The camera in the base of the user's robot, if it is stated."""
     known: FoundShapes | None = None
     """The known shapes where they were found, which are then shown instead of what is seen."""
+    drawn: LabelledDepth | None = None
+    """The image with masks of the known shapes that no recorded mask shows."""
 
     @classmethod
     def open(
@@ -58,16 +61,21 @@ class EditedScene:
         return tuple(self.meshes)
 
     @property
+    def image(self) -> LabelledDepth:
+        """The depth image with its masks."""
+        return self.drawn or self.recorded.labelled_depth(self.sensor)
+
+    @property
     def view(self) -> View:
         """The depth image."""
-        return self.recorded.view(self.sensor)
+        return self.image.view
 
     @cached_property
     def meshes(self) -> dict[int, Mesh]:
         """[m] world: the parts at their recorded poses."""
         if not self.truth:
-            found = {} if self.known is None else self.known.parts
-            return {part: found[part].mesh if part in found else seen for part, seen in self._seen.parts.items()}
+            found = {} if self.known is None else {part: shape.mesh for part, shape in self.known.parts.items()}
+            return dict(sorted({**self._seen.parts, **found}.items()))
         _, _, *parts = self.recorded.bodies()
         return {part: _placed(*parts[part]) for part in self.queries}
 
@@ -88,7 +96,7 @@ class EditedScene:
         """As seen, or as the known shape has them, the largest first."""
         if self.truth or self.known is not None:
             return plates_of(self.kits)
-        mask = self.recorded.labelled_depth(self.sensor).labels == ASSEMBLY_LABEL
+        mask = self.image.labels == ASSEMBLY_LABEL
         return find_plates(self.view, mask, simulated_sensor(self.sensor).kind.noise)
 
     @cached_property
@@ -104,7 +112,7 @@ class EditedScene:
     @cached_property
     def points(self) -> dict[int, ColouredPoints]:
         """The image as points, by label of its masks."""
-        return coloured_points(self.recorded.labelled_depth(self.sensor))
+        return coloured_points(self.image)
 
     @cached_property
     def bounds(self) -> np.ndarray:
@@ -123,7 +131,35 @@ class EditedScene:
 
     @cached_property
     def _seen(self) -> SeenScene:
-        return seen_scene(self.recorded.labelled_depth(self.sensor), self.queries, self.sensor != "ideal")
+        return seen_scene(self.image, self.queries, self.sensor != "ideal")
+
+    def knowing(self, shapes: FoundShapes) -> EditedScene:
+        """The scene with known shapes where they were found; those that no mask shows are further parts of it."""
+        further = {part: shape.mesh for part, shape in shapes.parts.items() if part not in self.queries}
+        if not further:
+            return replace(self, known=shapes)
+        bodies = [(shape.mesh, Pose.identity()) for shape in (shapes.kits, *shapes.parts.values())]
+        view, labels = self.view, self.image.labels.copy()
+        shown = render(view.camera, view.world_from_camera, bodies).body_ids
+        for number, part in enumerate(shapes.parts, start=2):
+            if part in further:
+                labels[shown == number] = FIRST_PART_LABEL + part
+        drawn, track = LabelledDepth(view, labels), _track("snap", self.sensor)
+        queries = {
+            part: Query(
+                id=f"{self.recorded.id}-p{part}-{track}",
+                scene_id=self.recorded.id,
+                track=track,
+                sensor=self.sensor,
+                part=part,
+                drawn=False,
+                pivot=mesh.bounds.mean(0),
+                guess=None,
+                read_image=lambda: drawn,
+            )
+            for part, mesh in further.items()
+        }
+        return replace(self, known=shapes, drawn=drawn, queries={**self.queries, **queries})
 
 
 def editable_queries(scene: RecordedScene, sensor: str) -> dict[int, Query]:

@@ -14,6 +14,7 @@ import socket
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -30,7 +31,7 @@ from kit1000.editor.keys import Interface
 from kit1000.editor.page import Panel, ViserStage
 from kit1000.editor.records import EventLog, Header, Sink
 from kit1000.editor.scene import EditedScene
-from kit1000.editor.worker import Method, Worker
+from kit1000.editor.worker import Completion, Method, Worker
 from kit1000.errors import InputError, InternalError, shown
 from kit1000.files import check_writable, locked
 from kit1000.interrupts import wait_until_interrupted
@@ -100,12 +101,19 @@ def editing(options: Options, sink: Sink | None = None, moves: bool = False) -> 
             log.add("open")
             try:
                 if worker is not None:
-                    worker.start(controller.received, None if options.truth else controller.completed)
+                    worker.start(controller.received, None if options.truth else partial(_complete, controller))
                 yield controller, address
             finally:
                 if worker is not None:
                     worker.close()
                 log.add("close")
+
+
+def _complete(controller: Controller, completion: Completion) -> None:
+    """Show the known shapes, and print which of them were not found."""
+    controller.completed(completion)
+    if controller.space.not_found:
+        print(controller.space.not_found, file=sys.stderr)
 
 
 def _report_base(scene: EditedScene, stated: Path) -> None:
@@ -124,8 +132,8 @@ def run(options: Options) -> None:
             print(f"{address}  (Ctrl-C ends; everything is saved in {options.out})", flush=True)
             wait_until_interrupted()
         space = controller.space
-        confirmed = sum(space.session.edits[part].confirmed for part in space.scene.parts)
-        print(f"{options.out}: {confirmed} of {len(space.scene.parts)} parts confirmed")
+        edits = space.part_edits.values()
+        print(f"{options.out}: {sum(edit.confirmed for edit in edits)} of {len(edits)} parts confirmed")
 
 
 @contextlib.contextmanager

@@ -96,13 +96,19 @@ def picked(part: int) -> str:
 
 
 def parts_list(
-    edits: Mapping[int, PartEdit], selected: int | None, sought: Collection[int], known: FoundShapes | None = None
+    edits: Mapping[int, PartEdit],
+    selected: int | None,
+    sought: Collection[int],
+    known: FoundShapes | None = None,
+    missing: str = "",
 ) -> str:
     """The state of each part, in Markdown.
 
-    sought: the parts for which the method still looks for fits. known: the shapes that were found.
+    sought: the parts for which the method still looks for fits. known: the shapes that were found. missing: what is
+    said of others.
     """
-    rows = [shape_text(known.kits).removeprefix(" · ")] if known is not None and known.kits.doubts else []
+    rows = [f"? {plain(missing)}"] if missing else []
+    rows += [shape_text(known.kits).removeprefix(" · ")] if known is not None and known.kits.doubts else []
     for part, edit in edits.items():
         name = f"**{part_name(part)}**" if part == selected else part_name(part)
         sure = f", {100 * edit.confidence:.0f} %" if edit.snapped else ""
@@ -112,10 +118,15 @@ def parts_list(
     return "  \n".join(rows)  # two spaces end a line in Markdown; a table would change its columns with every word
 
 
+def not_found(names: Collection[str]) -> str:
+    """Which known shapes were not found; empty if there are none."""
+    return f"Not found in the image: {', '.join(names)}." if names else ""
+
+
 def shape_text(found: FoundShape | None) -> str:
     """What is known of the shape of a body, behind its name."""
     if found is None:
-        return " · ? its shape was not found: shown as seen"
+        return " · ? no known shape was found here: shown as seen"
     unsure = f" ? pose not sure: {plain('; '.join(found.doubts))}" if found.doubts else ""
     return f" · {plain(found.name)}{unsure}"
 
@@ -145,7 +156,7 @@ def no_fit(proposals: PartProposals, over_kits: bool, waits: bool) -> str:
 
 def no_shapes(failure: str) -> str:
     """Why known shapes are not shown."""
-    return f"Only what the image shows is shown: {plain(failure)}"
+    return f"Only what the image shows is shown: {failure}"
 
 
 def plain(text: str) -> str:

@@ -14,14 +14,14 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field, replace
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from kit1000.dataset.reader import Dataset
 from kit1000.editor.proposals import Proposal
-from kit1000.editor.scene import editable_queries
+from kit1000.editor.scene import EditedScene
 from kit1000.errors import InputError, Kit1000Error
 from kit1000.parallel import start_worker
 from kit1000.pose import Pose
@@ -128,6 +128,9 @@ class Worker:
     def _run(self, done: Callable[[Result], None], completed: Callable[[Completion], None] | None) -> None:
         if completed is not None:
             completion = self._answer(_complete, lambda failure: Completion(None, failure))
+            if completion.shapes is not None:
+                with self._changed:
+                    self._first += sorted(completion.shapes.parts.keys() - set(self._first))
             if not self._stopping:
                 completed(completion)
         while (job := self._next()) is not None:
@@ -178,34 +181,45 @@ def _propose(method: Method, job: Job) -> Result:
 def _complete(method: Method) -> Completion:
     """The known shapes; an error becomes a line for the page."""
     try:
-        return completion_of(prepared(method))
+        return Completion(prepared(method).known)
     except Exception as error:
         return Completion(None, _line(error))
 
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """A method, made, and the queries about a scene."""
+    """A method, made, and the scene that it is asked about."""
 
-    dataset: Dataset
-    queries: dict[int, Query]
+    scene: EditedScene
     predictor: Any
     uses_truth: bool  # whether the predictor gets the true geometry
     shapes: SceneShapes | None = None  # the shapes of the scene, for a predictor that reads them
+
+    @cached_property
+    def known(self) -> FoundShapes | None:
+        """The known shapes where the method finds them, by its `find`; None if it knows none."""
+        if self.shapes is None or not hasattr(self.predictor, "find"):
+            return None
+        return self.predictor.find(tuple(self.scene.queries.values()), self.shapes)
+
+    @cached_property
+    def queries(self) -> dict[int, Query]:
+        """A query about each part that can be edited, by index; also of known shapes that no mask shows."""
+        return self.scene.queries if self.known is None else self.scene.knowing(self.known).queries
 
 
 @lru_cache(maxsize=1)
 def prepared(method: Method) -> Prepared:
     """Made once in each process."""
     dataset = Dataset(method.root)
-    queries = editable_queries(dataset.recorded_scene(method.scene_id, method.truth), method.sensor)
+    scene = EditedScene.open(dataset, method.scene_id, method.sensor, method.truth)
     described = method_of(method.snap)
     predictor = make_predictor(described, dataset, 0)
     uses_truth = bool(getattr(predictor, "uses_true_geometry", False))
     if uses_truth and not method.truth:
         raise InputError(f"--snap {method.snap}: needs the true geometry, which only --truth shows")
     shapes = _shapes(method, dataset) if described.reads == "shapes" else None
-    return Prepared(dataset, queries, predictor, uses_truth, shapes)
+    return Prepared(scene, predictor, uses_truth, shapes)
 
 
 def _shapes(method: Method, dataset: Dataset) -> SceneShapes:
@@ -221,7 +235,8 @@ def _shapes(method: Method, dataset: Dataset) -> SceneShapes:
 def proposals_of(made: Prepared, job: Job) -> list[Proposal]:
     """All fits of a part; of a method that proposes none, its prediction if there is a guess."""
     query, predictor = replace(made.queries[job.part], guess=job.guess), made.predictor
-    true = made.dataset.geometry.true_geometry(made.dataset.truth_of(query)) if made.uses_truth else None
+    dataset = made.scene.dataset
+    true = dataset.geometry.true_geometry(dataset.truth_of(query)) if made.uses_truth else None
     geometry = true if made.shapes is None else made.shapes
     if hasattr(predictor, "propose"):
         motions = list(predictor.propose(query, geometry))
@@ -229,12 +244,6 @@ def proposals_of(made: Prepared, job: Job) -> list[Proposal]:
         motions = [] if job.guess is None else [predictor(query, geometry)]
     predictions = (to_prediction(query, motion, 0.0) for motion in motions)
     return [Proposal(each.goal_from_now, each.confidence) for each in predictions]
-
-
-def completion_of(made: Prepared) -> Completion:
-    """The known shapes where the method finds them, by its `find`."""
-    knows = made.shapes is not None and hasattr(made.predictor, "find")
-    return Completion(made.predictor.find(tuple(made.queries.values()), made.shapes) if knows else None)
 
 
 def _line(error: BaseException) -> str:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from kit1000.editor import texts
 from kit1000.editor.keys import Interface
 from kit1000.editor.pointing import Pointing, Surface
 from kit1000.editor.proposals import PartProposals, Proposal
@@ -42,9 +43,11 @@ class Workspace:
         self.scene, self.snaps = scene, snaps
         self.session = Session.begin(self.edited)
         self.current = dict(self.session.edits)
-        """The edits, with the body in a drag where it is now."""
+        """The edits of what is shown, with the body in a drag where it is now."""
         self.pointing = Pointing(scene.kits, scene.plates)
         self.proposals = {part: PartProposals(scene.pivot(part)) for part in scene.parts}
+        self.not_found = ""
+        """What is said of known shapes that were not found."""
         self.selected: int | None = None
         """The body in the hand."""
         self.fit_index = 0
@@ -86,14 +89,24 @@ class Workspace:
         """What the body, where it is now, does to its part."""
         return self.current[body]
 
+    @property
+    def part_edits(self) -> dict[int, PartEdit]:
+        """The edit of each part that is shown."""
+        return {part: self.session.edits[part] for part in self.scene.parts}
+
     def know(self, shapes: FoundShapes) -> None:
         """Show known shapes where they were found."""
-        self.scene = replace(self.scene, known=shapes)
-        self.pointing = Pointing(self.scene.kits, self.scene.plates)
+        self.scene = scene = self.scene.knowing(shapes)
+        self.pointing = Pointing(scene.kits, scene.plates)
+        further = [part for part in scene.parts if part not in self.proposals]
+        self.proposals |= {part: PartProposals(scene.pivot(part)) for part in further}
+        self.session = replace(self.session, edits={**Session.begin(scene.parts).edits, **self.session.edits})
+        self.current = {**self.part_edits, **self.current}
+        self.not_found = texts.not_found(shapes.missing)
 
     def adopt(self, session: Session) -> None:
         """Take over a session."""
-        self.session, self.current = session, dict(session.edits)
+        self.session, self.current = session, {body: session.edits[body] for body in self.edited}
 
     def choose(self, body: int | None) -> None:
         """Take a body into the hand, or none."""
@@ -143,7 +156,7 @@ class Workspace:
 
     def snapped_all(self) -> Step | None:
         """Every part that has not snapped: onto the fit near the hand, or the surest; no two into one cavity."""
-        scene, edits = self.scene, self.session.edits
+        scene, edits = self.scene, self.part_edits
         taken = [edit.goal_from_now.apply(scene.pivot(part)) for part, edit in edits.items() if edit.snapped]
         likely = {part: fit for part in edits if (fit := self._likely(part)) is not None}
         changes: dict[int, PartEdit] = {}

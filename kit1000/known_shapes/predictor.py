@@ -23,7 +23,7 @@ from kit1000.predictor import PredictedMotion
 from kit1000.registration.method import TrueScene, fits_in
 from kit1000.registration.predictor import stated_clearances
 from kit1000.registration.rank import NEAR, confidence, difference, from_elsewhere, mean_motion
-from kit1000.values import LabelledDepth, Query, SceneShapes, TrueGeometry, View
+from kit1000.values import FIRST_PART_LABEL, LabelledDepth, Query, SceneShapes, TrueGeometry, View
 
 CONFIDENCE_DECIMALS = 4
 KEPT = 8  # scenes of images
@@ -79,7 +79,10 @@ class FoundShapes:
 
     kits: FoundShape
     parts: Mapping[int, FoundShape]
-    """By index of the part; a part whose shape was not found is left out."""
+    """By index of the part; those that no mask shows have indices above all masks. A part of another shape is left
+    out."""
+    missing: tuple[str, ...] = ()
+    """Names of the shapes that were not found."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,8 +141,11 @@ class KnownShapeRegistration:
             body, far = nearest[part]
             if far <= body.standing.radius and body not in parts.values():
                 parts[part] = body
+        unmasked = [body for body in found.parts if body not in parts.values()]
+        parts |= dict(enumerate(unmasked, int(queries[0].image.labels.max()) - FIRST_PART_LABEL + 1))
         shown = {part: found.shown(body) for part, body in parts.items()}
-        return FoundShapes(found.shown(found.scene.bodies[0]), shown)
+        missing = shapes.parts.keys() - {body.name for body in found.parts}
+        return FoundShapes(found.shown(found.scene.bodies[0]), shown, tuple(sorted(missing)))
 
     def _insertions(self, query: Query, found: _Registered, shapes: SceneShapes) -> list[PredictedMotion]:
         """All insertions of a part: its goals, the least rotation first; or those that registration finds.

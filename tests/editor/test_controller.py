@@ -15,6 +15,7 @@ from kit1000.cli import main
 from kit1000.editor.controller import Controller
 from kit1000.editor.display import FIELD, KITS, body_node, ghost_node
 from kit1000.editor.keys import KEYS, help_text
+from kit1000.editor.moves import read_moves
 from kit1000.editor.pointing import Eye
 from kit1000.editor.proposals import Proposal, distinct
 from kit1000.editor.records import FILE, EventLog
@@ -27,6 +28,7 @@ from kit1000.errors import InputError
 from kit1000.known_shapes.predictor import FoundShape, FoundShapes
 from kit1000.pose import Pose
 from kit1000.submission import read_submission
+from kit1000.values import FIRST_PART_LABEL, LabelledDepth
 from tests.samples.editing import EYE, FakeStage, answered, desk, dragged, found, goal, header_of, off, scene_of
 
 
@@ -309,6 +311,44 @@ def test_known_shapes_replace_what_is_seen_and_doubts_are_marked(
     assert table.controller.space.session.edits[part].confirmed
 
 
+def test_a_known_shape_that_no_mask_shows_is_moved_like_any_part(mini: Path, tmp_path: Path) -> None:
+    """It gets a number after all others, keeps its edits when the page opens again, and has a move for the robot."""
+    split = max(("train", "val"), key=lambda each: len(scene_of(mini, split=each).parts))
+    scene, true = scene_of(mini, split=split), scene_of(mini, truth=True, split=split)
+    hidden, *shown = scene.parts
+    labels = np.where(scene.image.labels == FIRST_PART_LABEL + hidden, 0, scene.image.labels).astype(np.uint8)
+    queries = {part: scene.queries[part] for part in shown}
+    masked = replace(scene, queries=queries, drawn=LabelledDepth(scene.view, labels))
+    parts = {part: FoundShape("tee", true.meshes[part], ()) for part in shown}
+    further = 1 + max(scene.parts)
+    shapes = FoundShapes(
+        FoundShape("kits", true.kits, ()), {**parts, further: FoundShape("ell", true.meshes[hidden], ())}, ("cam",)
+    )
+    table = desk(masked, tmp_path, moves=True)
+    assert table.controller.bodies == tuple(shown)
+    table.controller.completed(Completion(shapes))
+    assert table.controller.bodies == (*shown, further)
+    assert table.stage.texts["parts"].splitlines()[0].strip() == "? Not found in the image: cam."
+    motion = goal(scene, hidden)
+    found(table, further, (motion, 0.9))
+    table.controller.command(f"select-{further + 1}")
+    dragged(table, further, motion.apply(table.controller.space.scene.pivot(further)) + (0.004, 0.0, 0.0))
+    table.controller.command("take")
+    table.controller.command("confirm")
+    (move,) = read_moves(tmp_path)
+    assert move.part == further
+    assert same_motion(move.world.motion, motion)
+    box = true.meshes[hidden].bounds
+    assert (np.abs(move.world.pick.xyz - box.mean(0)) < np.ptp(box, axis=0) / 2 + 3e-3).all()
+    assert not (tmp_path / "predictions.csv").exists()  # no query asks for it
+    again = desk(masked, tmp_path, moves=True)
+    assert read_moves(tmp_path)[0].part == further
+    again.controller.completed(Completion(shapes))
+    assert again.controller.space.part_edits[further].confirmed
+    again.controller.command("undo")
+    assert not (tmp_path / "moves.json").exists()
+
+
 def test_sessions_with_and_without_shapes_are_not_mixed(scene: EditedScene, tmp_path: Path) -> None:
     header = replace(header_of(scene), shapes=True)
     log = EventLog(tmp_path, header)
@@ -321,7 +361,7 @@ def test_sessions_with_and_without_shapes_are_not_mixed(scene: EditedScene, tmp_
     with pytest.raises(InputError, match="shapes True, not False; choose another --out"):
         EventLog(tmp_path, header_of(scene))
     table.completed(Completion(None, "no [weights](x)"))
-    assert stage.texts["note"] == "Only what the image shows is shown: no weights(x)"
+    assert stage.texts["parts"].splitlines()[0].strip() == "? Only what the image shows is shown: no weights(x)"
 
 
 def test_colour_follows_confidence_in_three_steps() -> None:

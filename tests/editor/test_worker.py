@@ -21,7 +21,7 @@ from kit1000.editor import worker
 from kit1000.editor.hand import PLACE
 from kit1000.editor.scene import EditedScene
 from kit1000.editor.session import same_motion
-from kit1000.editor.worker import Completion, Job, Method, Result, Worker, completion_of, prepared, proposals_of
+from kit1000.editor.worker import Completion, Job, Method, Result, Worker, prepared, proposals_of
 from kit1000.errors import InputError
 from kit1000.known_shapes.predictor import FoundShape, FoundShapes
 from kit1000.mesh import Mesh
@@ -146,7 +146,7 @@ def test_a_method_that_reads_shapes_gets_those_of_the_user_or_of_the_dataset(min
     for shapes in (None, SceneShapes(triangle, {"p": triangle})):
         prepared.cache_clear()
         made = prepared(replace(method, shapes=shapes))
-        found = completion_of(made).shapes
+        found = made.known
         assert found is not None
         assert {*found.parts} == {*made.queries}
         assert (found.kits.mesh is triangle) == (shapes is not None)
@@ -163,7 +163,7 @@ def test_any_predictor_snaps_by_the_protocol_alone(mini: Path) -> None:
     assert same_motion(answer[0].goal_from_now, NEAR)
     assert answer[0].confidence == 0.25
     assert proposals_of(prepared(method), Job(scene.parts[0], None)) == []  # it needs a guess
-    assert completion_of(prepared(method)) == Completion(None)  # and knows no shapes
+    assert prepared(method).known is None  # and knows no shapes
 
 
 def test_true_geometry_is_for_sessions_that_show_it(mini: Path) -> None:

@@ -20,8 +20,9 @@ from kit1000.prediction.making import method_of
 from kit1000.prediction.predict import RunConfig, predict
 from kit1000.predictor import PredictedMotion
 from kit1000.registration.predictor import stated_clearances
-from kit1000.values import SceneShapes
+from kit1000.values import FIRST_PART_LABEL, SceneShapes
 from tests.samples.labelled_scenes import own_folder, shapes_folder
+from tests.samples.own_images import box
 
 
 def test_a_method_gets_meshes_without_poses(mini: Path) -> None:
@@ -58,9 +59,15 @@ def test_the_page_gets_the_same_insertion_and_the_shapes_where_they_are(mini: Pa
     found = predictor.find([query], scene.shapes)
     kits, true = found.kits.mesh, scene.bodies()[1]
     assert np.abs(kits.bounds - true[0].moved(true[1]).bounds).max() < 2e-3
-    assert {*found.parts} <= {query.part}
+    names = {shape.name for shape in found.parts.values()}
+    assert names | {*found.missing} == {*scene.shapes.parts}
+    assert len(found.parts) + len(found.missing) == len(scene.shapes.parts)
     elsewhere = replace(query, pivot=query.pivot + (0.0, 0.0, 0.3))
-    assert not predictor.find([elsewhere], scene.shapes).parts  # no shape is there
+    unmasked = predictor.find([elsewhere], scene.shapes).parts  # no shape is there
+    assert {shape.name for shape in unmasked.values()} == names
+    assert min(unmasked) == query.image.labels.max() - FIRST_PART_LABEL + 1
+    more = replace(scene.shapes, parts={**scene.shapes.parts, "crate": box((0.3, 0.3, 0.3), (0.0, 0.0))})
+    assert KnownShapeRegistration(dataset).find([query], more).missing == ("crate",)
 
 
 def test_a_part_goes_where_the_files_of_its_kit_show_it(mini: Path) -> None:
