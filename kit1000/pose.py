@@ -7,7 +7,8 @@ on the number of poses or points in a batch.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Any
@@ -180,8 +181,7 @@ def quaternion_multiply(a: ArrayLike, b: ArrayLike) -> np.ndarray:
     """Hamilton product: rotation by b, then by a. (..., 4), (..., 4) -> (..., 4), broadcasting."""
     left, right = _trailing("a", a, 4), _trailing("b", b, 4)
     batch = _broadcast("a", left, "b", right)
-    aw, ax, ay, az = (left[..., i] for i in range(4))
-    bw, bx, by, bz = (right[..., i] for i in range(4))
+    (aw, ax, ay, az), (bw, bx, by, bz) = _components(left), _components(right)
     result = np.empty((*batch, 4))
     result[..., 0] = aw * bw - ax * bx - ay * by - az * bz
     result[..., 1] = aw * bx + ax * bw + ay * bz - az * by
@@ -244,6 +244,8 @@ def random_quaternions(rng: np.random.Generator, n: int) -> np.ndarray:
 
 def _unit(q: np.ndarray, name: str) -> np.ndarray:
     """Finite quaternions (..., 4) scaled to unit length; the array itself when all have unit length."""
+    if q.ndim == 1 and abs(math.sqrt(sum(x * x for x in q.tolist())) - 1) <= UNIT_TOLERANCE:
+        return q
     with np.errstate(over="ignore"):
         norm = np.sqrt(np.sum(q * q, axis=-1, keepdims=True))
     off = np.abs(norm - 1) > UNIT_TOLERANCE
@@ -297,9 +299,14 @@ def _quaternion_from_matrix(matrix: np.ndarray) -> np.ndarray:
     return column / np.linalg.norm(column, axis=-1, keepdims=True)
 
 
+def _components(array: np.ndarray) -> Iterable[Any]:
+    """The parts (...) of an array (..., n); floats for a single row, which are the same bits in less time."""
+    return array.tolist() if array.ndim == 1 else (array[..., i] for i in range(array.shape[-1]))
+
+
 def _matrix(wxyz: np.ndarray) -> np.ndarray:
     """Unit quaternions (..., 4) as rotation matrices (..., 3, 3)."""
-    w, x, y, z = (wxyz[..., i] for i in range(4))
+    w, x, y, z = _components(wxyz)
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
         (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),

@@ -18,7 +18,8 @@ from scipy.ndimage import maximum_filter, uniform_filter
 from kit1000.camera import Camera
 from kit1000.known_shapes.shapes import StandingShape
 from kit1000.known_shapes.support import Support
-from kit1000.perception.calibration.table import tukey_weights
+from kit1000.numerics.compiled import compiled
+from kit1000.numerics.elimination import solve_positive
 from kit1000.perception.sensor_facts import D415, SensorFacts
 from kit1000.pose import Pose
 from kit1000.sim.depth_edges import blended_ramps, widened_edges
@@ -223,15 +224,40 @@ class Window:
 
     def _unexplained(self, mean: np.ndarray, variance: np.ndarray, compared: np.ndarray) -> float:
         """The pixels among some that are not explained, after the slow error that explains the most is taken away."""
-        image = self.image
-        residual, total = (self.measured - mean)[compared], variance[compared] + image.noise**2
-        slow = slow_errors(compared)
-        amounts, prior = np.zeros(3), np.eye(3) / image.bend**2
-        for _ in range(SLOW_ROUNDS):
-            weight = tukey_weights(residual - amounts @ slow, REACH * np.sqrt(total)) / (total * CORRELATED)
-            amounts = np.linalg.solve((slow * weight) @ slow.T + prior, (slow * weight) @ residual)
-        left = np.minimum(np.square(residual - amounts @ slow) / (total * REACH**2), 1.0).sum()
-        return float(left + CORRELATED / REACH**2 * (amounts @ prior @ amounts))
+        total = variance + self.image.noise**2
+        return float(unexplained(self.measured - mean, total, compared, CORRELATED / (REACH * self.image.bend) ** 2))
+
+
+@compiled
+def unexplained(residual, total, compared, certainty):
+    """The number of pixels that are not explained, after a slow error (a constant and two slopes) is taken away.
+
+    Args:
+        residual: (h, w) [px] measured less expected disparities.
+        total: (h, w) [px^2] their variances.
+        compared: (h, w) bool, the pixels that count.
+        certainty: [1/px^2] of a slow error of 0, in units of the weight of one pixel.
+    """
+    rows, columns = residual.shape
+    slow, left = np.zeros(3), 0.0
+    for last in range(SLOW_ROUNDS + 1):
+        left, g, gx, gy = 0.0, 0.0, 0.0, 0.0
+        w, wx, wy, wxx, wxy, wyy = certainty, 0.0, 0.0, certainty, 0.0, certainty
+        a, b, c = slow
+        for v in range(rows):
+            y = 2 * v / rows - 1
+            for u in range(columns):
+                if compared[v, u]:
+                    x, r, limit = 2 * u / columns - 1, residual[v, u], total[v, u] * REACH**2
+                    share = min((r - a - b * x - c * y) ** 2 / limit, 1.0)
+                    left += share
+                    weight = (1 - share) ** 2 / limit  # Tukey's, see `tukey_weights`
+                    w, wx, wy = w + weight, wx + weight * x, wy + weight * y
+                    wxx, wxy, wyy = wxx + weight * x * x, wxy + weight * x * y, wyy + weight * y * y
+                    g, gx, gy = g + weight * r, gx + weight * r * x, gy + weight * r * y
+        if last < SLOW_ROUNDS:
+            slow = solve_positive(np.array(((w, wx, wy), (wx, wxx, wxy), (wy, wxy, wyy))), np.array((g, gx, gy)))
+    return left + certainty * (slow * slow).sum()
 
 
 def slow_errors(compared: np.ndarray) -> np.ndarray:

@@ -47,6 +47,7 @@ OTHERS_REACH = 2  # [px] about another mask, whose pixels tell nothing about a p
 GAP = 0.05  # [m] up to which shapes are rendered together
 BADLY = 0.045  # of the pixels about a shape: it is searched everywhere
 SPOILS = 0.15  # of the pixels that a part explains: it may be exchanged
+HOPEFUL = 0.7  # of what two parts explain: an exchange that explains less before parts settle is dropped
 LEAST_GAIN = 12.0  # pixels of the small image that a shape must explain
 
 Bodies = list[StandingShape | None]
@@ -186,7 +187,7 @@ class SceneSearch:
         """A part, or the rival at its spot that explains more beside the others."""
         found = self.window(body, others).explained(body)
         most, screened = found.gain, DOUBTFUL_SCREENED if found.misfit > DOUBTFUL else SPOT_SCREENED
-        for rival in self._at_spot(body.shape, body, others, screened)[:RIVALS]:
+        for _, rival in self._at_spot(body.shape, body, others, screened)[:RIVALS]:
             moved = fit(self.image, rival, neighbours(rival, others, GAP), reaches=FINE[:2]).shape
             self.rivals[body.shape.name].append(moved)
             gain = self.window(moved, others).explained(moved).gain
@@ -196,13 +197,15 @@ class SceneSearch:
 
     def _at_spot(
         self, shape: KnownShape, spot: StandingShape, others: Sequence[StandingShape], screened: Screened
-    ) -> list[StandingShape]:
+    ) -> list[Place]:
         """Places of a shape where another stands, which goes, beside others; the one that explains the most first."""
         grid = self.grid.without(others)
         near = grid.about(grid.footprint(spot))
-        return [
-            place.shape for place in self._candidates(near, _part_views(shape), shape, screened, SPOT_REFINED, others)
-        ]
+        return self._candidates(near, _part_views(shape), shape, screened, SPOT_REFINED, others)
+
+    def _gain(self, body: StandingShape, others: Sequence[StandingShape]) -> float:
+        """The pixels of the small image that a body explains beside others."""
+        return self.small.window(body, neighbours(body, others, GAP)).explained(body).gain
 
     def _fails(self, body: StandingShape | None, bodies: Bodies) -> bool:
         """Whether a part has no place, or one where it explains the image so badly that another may be right."""
@@ -224,10 +227,11 @@ class SceneSearch:
             assert second is not None
             others = [body for k, body in enumerate(bodies) if k not in (i, j) and body is not None]
             over = self._at_spot(first.shape, second, others, SPOT_SCREENED)[:1]
-            under = self._at_spot(second.shape, first, [*others, *over], SPOT_SCREENED)[:1]
-            if over and under:
+            under = self._at_spot(second.shape, first, [*others, *(place.shape for place in over)], SPOT_SCREENED)[:1]
+            now = sum(self._gain(body, others) for body in (first, second))
+            if over and under and over[0].score + under[0].score > HOPEFUL * now:
                 other = [*bodies]
-                other[i], other[j] = over[0], under[0]
+                other[i], other[j] = over[0].shape, under[0].shape
                 bodies = self._better(bodies, other, (i, j))
         return bodies
 
