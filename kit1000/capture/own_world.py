@@ -33,12 +33,11 @@ def world_of_bodies(table: Table, kit: SeenBody, parts: Sequence[SeenBody]) -> O
     """The world whose line y = 0 best separates the kit from the parts, with its origin in the gap."""
     angles = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
     directions = np.stack([np.cos(angles), np.sin(angles)], -1)
-    kit_feet = table.ground(kit.mask)
     if not parts:
         towards = np.array([0.0, 1.0])
         return OwnWorld(_pose(table, towards, kit.centre - KITS_PLACE * towards), None)
-    near = np.quantile(kit_feet @ directions.T, TRIMMED, axis=0)
-    far = np.max([np.quantile(table.ground(part.mask) @ directions.T, 1 - TRIMMED, axis=0) for part in parts], axis=0)
+    near = _reached(table, kit, directions, TRIMMED)
+    far = np.max([_reached(table, part, directions, 1 - TRIMMED) for part in parts], axis=0)
     gaps = near - far
     widest = np.flatnonzero(gaps >= gaps.max() - SAME_GAP)
     best = widest[len(widest) // 2] if np.ptp(widest) < DIRECTIONS / 2 else int(gaps.argmax())
@@ -47,6 +46,12 @@ def world_of_bodies(table: Table, kit: SeenBody, parts: Sequence[SeenBody]) -> O
     across = np.array([towards[1], -towards[0]])
     origin = (near[best] + far[best]) / 2 * towards + (middle @ across) * across
     return OwnWorld(_pose(table, towards, origin), float(gaps[best]))
+
+
+def _reached(table: Table, body: SeenBody, directions: np.ndarray, share: float) -> np.ndarray:
+    """(n,) [m] up to where a share of a body's points lies along directions (n, 2)."""
+    along = directions @ table.ground(body.mask).T  # one row a direction: quantiles of columns take 3 times as long
+    return np.quantile(along, share, axis=1, overwrite_input=True)
 
 
 def world_of_pose(table: Table, given: Pose, source: str) -> OwnWorld:

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
-from mcap.exceptions import DecoderNotFoundError
 from mcap.reader import SeekingReader
 from mcap_protobuf.decoder import DecoderFactory as ProtobufFactory
 from mcap_ros2.decoder import DecoderFactory as Ros2Factory
@@ -69,21 +68,22 @@ class _Recording:
     def messages(self, topic: str) -> Iterator[Any]:
         """The messages of a topic, decoded, in the order of time."""
         self.file.seek(0)
-        decoders = (ProtobufFactory(), Ros2Factory())
-        reader = SeekingReader(self.file, decoder_factories=decoders, record_size_limit=MOST_RECORD)
-        if any(message.data.startswith(ZSTD) for _, _, message in islice(reader.iter_messages(topics=[topic]), 1)):
-            raise InputError(
-                f"{self.path} {topic}: each message is compressed, which is not read: record without "
-                "--compression-mode message, or convert it by `ros2 bag convert`"
-            )
-        try:
-            for found in reader.iter_decoded_messages(topics=[topic]):
-                yield found.decoded_message
-        except DecoderNotFoundError:
-            raise InputError(
-                f"{self.path} {topic}: messages in an encoding that is not read, expected cdr with ros2msg, or "
-                "protobuf; save images as 16-bit PNG, or convert a ROS 1 bag by rosbags-convert"
-            ) from None
+        factories = ProtobufFactory(), Ros2Factory()
+        reader = SeekingReader(self.file, record_size_limit=MOST_RECORD)
+        for schema, channel, message in reader.iter_messages(topics=[topic]):
+            if message.data.startswith(ZSTD):
+                raise InputError(
+                    f"{self.path} {topic}: each message is compressed, which is not read: record without "
+                    "--compression-mode message, or convert it by `ros2 bag convert`"
+                )
+            decoders = (factory.decoder_for(channel.message_encoding, schema) for factory in factories)
+            decoder = next(filter(None, decoders), None)
+            if decoder is None:
+                raise InputError(
+                    f"{self.path} {topic}: messages in an encoding that is not read, expected cdr with ros2msg, or "
+                    "protobuf; save images as 16-bit PNG, or convert a ROS 1 bag by rosbags-convert"
+                )
+            yield decoder(message.data)
 
     def first(self, topic: str) -> Any:
         """The first message of a topic; None if it has none."""
