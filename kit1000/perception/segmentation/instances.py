@@ -59,7 +59,7 @@ def find_bodies(view: View, sensor: SensorFacts, restorer: Restorer | None = Non
     above = (view.depth > 0) & (world_points(view)[..., 2] > RECORDED_HEIGHT)
     measured = calibrated_by(view, above.astype(np.uint8), sensor)
     if restorer is not None and kind.denoised is not None:
-        return restored_bodies(measured, sensor, restorer)
+        return _restored_bodies(restorer.without_masks(measured, sensor), kind.denoised, measured)
     closed = without_shadows(measured)
     points, height = _points_and_heights(closed)
     body = _high_regions(height, kind.segmentation.least_height)
@@ -68,9 +68,8 @@ def find_bodies(view: View, sensor: SensorFacts, restorer: Restorer | None = Non
     return _halves(closed, points, body, kind, measured)
 
 
-def restored_bodies(measured: View, sensor: SensorFacts, restorer: Restorer) -> Bodies:
-    """The bodies in a calibrated view of a noisy sensor, which a network restores."""
-    view, kind = restorer.without_masks(measured, sensor), sensor.kind.best
+def _restored_bodies(view: View, kind: ImageKind, measured: View) -> Bodies:
+    """The bodies in a view that a network restored."""
     points, height = _points_and_heights(view)
     body, far_half = _restored_regions(height, measured.depth > 0, kind.segmentation.least_height), on_far_half(points)
     return Bodies(view, points, _largest_regions(body & far_half), body & ~far_half, kind, measured)
@@ -156,11 +155,7 @@ def segmented(
         restorer: a network that restores noisy images without masks; None looks at them as they are.
         finder: a network that separates parts in restored images; None merges pieces, as in ideal images.
     """
-    return labelled(find_bodies(view, sensor, restorer), scale, finder)
-
-
-def labelled(bodies: Bodies, scale: float = 1.0, finder: PartFinder | None = None) -> np.ndarray:
-    """(H, W) uint8: the labels of bodies; the arguments are those of `segmented`."""
+    bodies = find_bodies(view, sensor, restorer)
     labels = np.where(bodies.kits, ASSEMBLY_LABEL, 0).astype(np.uint8)
     parts = finder(bodies) if finder is not None and bodies.kind.segmentation.network else _merged_pieces(bodies, scale)
     boxes, number = find_objects(parts), 0
