@@ -149,7 +149,7 @@ class HeightGrid:
             scores = self._scores(heights)
             scores[scores < maximum_filter(scores, (1, 5, 5))] = 0
             for yaw, each in zip(yaws, scores, strict=True):
-                cells = np.argsort(-each, axis=None)[:a_view]
+                cells = np.argpartition(each, -min(a_view, each.size), axis=None)[-a_view:]
                 row, column = np.unravel_index(cells, each.shape)
                 xy = self.corner + CELL * (np.stack([row, column], -1) + 0.5)
                 found.append(np.column_stack([each[row, column], np.full(len(cells), k), xy, np.full(len(cells), yaw)]))
