@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kit1000.camera import Camera
-from kit1000.known_shapes.disparity import DisparityImage
+from kit1000.known_shapes.disparity import CORRELATED, REACH, DisparityImage, unexplained
 from kit1000.known_shapes.known_kits import KITS
 from kit1000.known_shapes.shapes import StandingShape
 from kit1000.known_shapes.support import Support, seen_support
@@ -106,3 +106,21 @@ def test_a_window_with_room_contains_that_of_a_shape_which_moves_in_it() -> None
     assert wide.box.contains(image.box(moved))
     assert not image.window(kits).box.contains(wide.box)
     assert wide.explained(moved).gain == pytest.approx(image.window(moved).explained(moved).gain, rel=1e-3)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_unexplained_pixels_are_those_of_the_formula(seed: int) -> None:
+    """The compiled loop agrees with least squares under Tukey's weights, written with arrays."""
+    rng = stream(seed, "unexplained")
+    residual, total = rng.normal(0, 0.4, (31, 47)), rng.uniform(0.01, 0.5, (31, 47))
+    compared, certainty = rng.random((31, 47)) < 0.7, 1e-3 / REACH**2 * CORRELATED
+    v, u = np.nonzero(compared)
+    slow = np.stack([np.ones(len(v)), 2 * u / 47 - 1, 2 * v / 31 - 1])
+    amounts, limits = np.zeros(3), total[compared] * REACH**2
+    for _ in range(2):
+        share = np.minimum(np.square(residual[compared] - amounts @ slow) / limits, 1)
+        weight = np.square(1 - share) / limits
+        normal = (slow * weight) @ slow.T + certainty * np.eye(3)
+        amounts = np.linalg.solve(normal, (slow * weight) @ residual[compared])
+    left = np.minimum(np.square(residual[compared] - amounts @ slow) / limits, 1).sum() + certainty * amounts @ amounts
+    assert unexplained(residual, total, compared, certainty) == pytest.approx(left, rel=1e-9)
