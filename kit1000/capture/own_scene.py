@@ -16,7 +16,7 @@ from kit1000.capture.options import ImportOptions
 from kit1000.capture.own_world import OwnWorld, world_of_bodies, world_of_pose
 from kit1000.capture.pinhole_images import PinholeImage, pinhole_image
 from kit1000.capture.pose_files import read_pose
-from kit1000.capture.seen_bodies import SeenBody, seen_bodies
+from kit1000.capture.seen_bodies import SeenBody, seen_bodies, sure_height
 from kit1000.capture.table_search import Table, find_table
 from kit1000.errors import InputError
 from kit1000.perception.sensor_facts import D415, SCANNER, SensorFacts
@@ -173,7 +173,7 @@ def _with_kit_first(bodies: list[SeenBody], options: ImportOptions, source: str,
     kit = options.kit
     if not bodies:
         raise InputError(
-            f"{source}: nothing higher than {1e3 * max(2.5e-3, 2.5 * table.ripple):.1f} mm stands on the table "
+            f"{source}: nothing higher than {1e3 * sure_height(table):.1f} mm stands on the table "
             f"({100 * table.share:.0f} % of the image): put kit and parts on it, or come nearer"
         )
     if not 1 <= kit <= len(bodies):

@@ -58,7 +58,7 @@ def seen_bodies(table: Table) -> SeenBodies:
     heights = table.flat_heights
     least = float(np.clip(RIPPLES * table.ripple, LEAST_HEIGHT, MOST_LEAST))
     high = heights > least
-    sure = float(np.clip(SURE * RIPPLES * table.ripple, BODY_HEIGHT, MOST_SURE))
+    sure = sure_height(table)
     on_table = np.zeros_like(high)
     on_table[high] = inside_outline(table.ground(high), table.outline, EDGE)
     beside = binary_dilation(_opened(high & ~on_table), iterations=TOUCHING)
@@ -84,6 +84,11 @@ def seen_bodies(table: Table) -> SeenBodies:
     high_ones = _with_fragments(table, [body for reached, body in found if reached > sure])[:MOST_BODIES]
     low_ones = [body for reached, body in found if reached <= sure]
     return SeenBodies(high_ones, low_ones[: MOST_BODIES - len(high_ones)])
+
+
+def sure_height(table: Table) -> float:
+    """[m] that the highest tenth of a sure body reaches."""
+    return float(np.clip(SURE * RIPPLES * table.ripple, BODY_HEIGHT, MOST_SURE))
 
 
 def _lies_along_outline(table: Table, body: SeenBody) -> bool:

@@ -216,12 +216,17 @@ class Edit(OwnImages):
 
 
 def _was_imported(folder: Path, source: Path) -> bool:
-    """Whether a folder holds the scene of an image, which has not changed since."""
+    """Whether a folder holds the scene of an image or a recording; raises InputError if that has changed since."""
     summary = folder / "dataset.json"
-    if not (summary.is_file() and source.is_file() and source.stat().st_mtime < summary.stat().st_mtime):
+    if not (summary.is_file() and source.exists()):
         return False
     own = read_json(summary).get(OWN)
-    return isinstance(own, dict) and own.get("sources") == [str(source)]
+    sources = own.get("sources", []) if isinstance(own, dict) else []
+    beginnings = f"{source} ", f"{source}, ", f"{source}{os.sep}"  # before a topic, a frame, and a file of a bag
+    known = len(sources) == 1 and f"{sources[0]} ".startswith(beginnings)
+    if known and source.stat().st_mtime >= summary.stat().st_mtime:
+        raise InputError(f"{folder}: holds the scene of an earlier {source}: delete it, or choose another --out")
+    return known
 
 
 def _chosen_scene(dataset: Dataset, scene: str | None, sensor: str | None) -> tuple[str, str]:

@@ -311,12 +311,15 @@ def test_an_image_is_imported_before_it_is_edited(
     assert options.data == image.with_name("depth-scene")
     assert Dataset(options.data).split("test").scene_ids == ["test-s0000"]
     assert options.out.parent == image.parent  # not in the folder of the scene, whose files are listed
-    assert main(words) == 0  # goes on
-    assert "imported before" in capsys.readouterr().out
+    frames = image.with_name("frames.npy")
+    np.save(frames, np.stack([np.asarray(Image.open(image))] * 3))
+    for source in (frames, frames, image):
+        assert main(["edit", str(source), *words[2:]]) == 0  # goes on
+    assert capsys.readouterr().out.count("imported before") == 2
     assert asked.pop() == options
     os.utime(image, (later := options.data.stat().st_mtime + 60, later))
     assert main(words) == 2  # another image: the folder is never written over
-    assert "is not empty" in capsys.readouterr().err
+    assert "of an earlier" in capsys.readouterr().err
 
 
 def test_known_shapes_and_a_scanner_may_be_stated(
