@@ -12,7 +12,20 @@ import numpy as np
 
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
-from kit1000.known_shapes.registration import SCALE_SPREAD, DepthScale, RegisteredBody, RegisteredScene, register_scene
+from kit1000.known_shapes.registration import (
+    SCALE_SPREAD,
+    DepthScale,
+    RegisteredBody,
+    RegisteredScene,
+    register_scene,
+)
+from kit1000.known_shapes.several_images import (
+    CONFIDENCE_DECIMALS,
+    PlacedScene,
+    SeenPart,
+    agreed_motions,
+    one_part,
+)
 from kit1000.known_shapes.shapes import KITS, KnownShape
 from kit1000.known_shapes.support import Support, recorded_support
 from kit1000.mesh import Mesh
@@ -22,44 +35,14 @@ from kit1000.pose import Pose
 from kit1000.predictor import PredictedMotion
 from kit1000.registration.method import TrueScene, fits_in
 from kit1000.registration.predictor import stated_clearances
-from kit1000.registration.rank import NEAR, confidence, difference, from_elsewhere, mean_motion
+from kit1000.registration.rank import confidence, from_elsewhere
 from kit1000.values import FIRST_PART_LABEL, LabelledDepth, Query, SceneShapes, TrueGeometry, View
 
-CONFIDENCE_DECIMALS = 4
 KEPT = 8  # scenes of images
-LEAST_WEIGHT = 0.01  # of a motion in a mean
 MOST_LEAD = 50.0  # [px] of a pose over its rivals, beyond which none is taken for it
 # Log odds that a motion is seated: constant, and weights of what part and kits leave unexplained, of the lead that the
 # part's pose lacks, as a share, and of what the depth scale leaves open [mm]. Fitted to 222 motions of val.
 ODDS = (4.6, -44.0, -1.9, -2.0)
-
-
-@dataclass(frozen=True, eq=False)
-class _Registered:
-    """The scene of an image, in the world of its camera."""
-
-    scene: RegisteredScene
-    world_from_camera: Pose
-
-    def world_from(self, body: RegisteredBody) -> Pose:
-        return self.world_from_camera @ self.scene.camera_from_body(body)
-
-    def nearest(self, query: Query) -> tuple[RegisteredBody, float] | None:
-        """The part whose middle is nearest to the pivot of a query, and its distance [m]; None without parts."""
-        middles = {body: self.world_from(body).apply(body.standing.shape.mesh.bounds.mean(0)) for body in self.parts}
-        distances = {body: float(np.linalg.norm(middle - query.pivot)) for body, middle in middles.items()}
-        return min(distances.items(), key=lambda entry: entry[1], default=None)
-
-    @property
-    def parts(self) -> tuple[RegisteredBody, ...]:
-        """All bodies but the kits."""
-        return self.scene.bodies[1:]
-
-    def shown(self, body: RegisteredBody) -> FoundShape:
-        """A body for a person to look at."""
-        return FoundShape(
-            body.name, body.standing.shape.mesh.moved(self.world_from(body)), tuple(self.scene.doubts(body))
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +73,7 @@ class KnownShapeRegistration:
     """Predicts by the poses of known shapes."""
 
     dataset: Dataset
-    _last: dict[View, _Registered | InputError] = field(default_factory=dict)
+    _last: dict[View, PlacedScene | InputError] = field(default_factory=dict)
 
     reads = "shapes"
 
@@ -123,11 +106,12 @@ class KnownShapeRegistration:
         Raises InputError if the first image shows no table, or no kits; others may.
         """
         first, *others = queries
-        images = [self._insertions(first, self._registered(first, shapes), shapes)]
+        seen = [self._registered(first, shapes).seen(first.pivot)]
         for other in others:
             with suppress(InputError):
-                images.append(self._insertions(other, self._registered(other, shapes), shapes))
-        return agreed_motions([each for each in images if each], first.pivot)
+                seen.append(self._registered(other, shapes).seen(other.pivot))
+        parts = one_part([part for part in seen if part is not None])
+        return agreed_motions([self._insertions(first, part, shapes) for part in parts], first.pivot)
 
     def find(self, queries: Sequence[Query], shapes: SceneShapes) -> FoundShapes:
         """Where the shapes are, for a person to look at. queries: about parts of one image.
@@ -135,7 +119,7 @@ class KnownShapeRegistration:
         Raises InputError for an image that shows no table, or no kits.
         """
         found = self._registered(queries[0], shapes)
-        nearest = {query.part: entry for query in queries if (entry := found.nearest(query)) is not None}
+        nearest = {query.part: entry for query in queries if (entry := found.nearest(query.pivot)) is not None}
         parts: dict[int, RegisteredBody] = {}
         for part in sorted(nearest, key=lambda part: nearest[part][1]):  # masks may cut a part into several
             body, far = nearest[part]
@@ -143,35 +127,32 @@ class KnownShapeRegistration:
                 parts[part] = body
         unmasked = [body for body in found.parts if body not in parts.values()]
         parts |= dict(enumerate(unmasked, int(queries[0].image.labels.max()) - FIRST_PART_LABEL + 1))
-        shown = {part: found.shown(body) for part, body in parts.items()}
+        shown = {part: _shown(found, body) for part, body in parts.items()}
         missing = shapes.parts.keys() - {body.name for body in found.parts}
-        return FoundShapes(found.shown(found.scene.bodies[0]), shown, tuple(sorted(missing)))
+        return FoundShapes(_shown(found, found.scene.bodies[0]), shown, tuple(sorted(missing)))
 
-    def _insertions(self, query: Query, found: _Registered, shapes: SceneShapes) -> list[PredictedMotion]:
+    def _insertions(self, query: Query, part: SeenPart, shapes: SceneShapes) -> list[PredictedMotion]:
         """All insertions of a part: its goals, the least rotation first; or those that registration finds.
 
         The first is as sure as the poses, others of registration less by what tells them apart.
         """
-        nearest, kits = found.nearest(query), found.scene.bodies[0]
-        if nearest is None:
-            return []
-        part = nearest[0]
-        if part.name in shapes.goals:
-            motions = found.world_from(kits) @ shapes.goals[part.name] @ found.world_from(part).inverse()
+        scene, name = part.placed.scene, part.body.name
+        kits = scene.bodies[0]
+        world_from_kits, sure = part.placed.world_from(kits), _confidence(scene, kits, part.body)
+        if name in shapes.goals:
+            motions = world_from_kits @ shapes.goals[name] @ part.world_from_part.inverse()
             start = Pose.identity() if query.guess is None else query.guess
             order = np.argsort(np.atleast_1d((motions @ start.inverse()).angle()), kind="stable")
-            return [PredictedMotion(motions[i], _confidence(found.scene, kits, part)) for i in order]
-        geometry = TrueGeometry(
-            shapes.parts[part.name], found.world_from(part), shapes.assembly, found.world_from(kits)
-        )
-        stated = shapes.clearances.get(part.name)
+            return [PredictedMotion(motions[i], sure) for i in order]
+        geometry = TrueGeometry(shapes.parts[name], part.world_from_part, shapes.assembly, world_from_kits)
+        stated = shapes.clearances.get(name)
         fits = fits_in(TrueScene(query, geometry), (stated,) if stated else stated_clearances(self.dataset))
-        sure, odds = _confidence(found.scene, kits, part), [confidence(fit, fits) for fit in fits]
+        odds = [confidence(fit, fits) for fit in fits]
         shares = [min(each / max(odds[0], 1e-6), 1.0) for each in odds[1:]]
         confidences = [sure, *(round(sure * share, CONFIDENCE_DECIMALS) for share in shares)]
         return [PredictedMotion(fit.goal_from_now, each) for fit, each in zip(fits, confidences, strict=False)]
 
-    def _registered(self, query: Query, shapes: SceneShapes) -> _Registered:
+    def _registered(self, query: Query, shapes: SceneShapes) -> PlacedScene:
         """The scene of a query's image; those of the last images are kept, for queries come scene by scene."""
         if query.view not in self._last:
             if len(self._last) == KEPT:
@@ -185,7 +166,7 @@ class KnownShapeRegistration:
             raise found
         return found
 
-    def _register(self, query: Query, shapes: SceneShapes) -> _Registered:
+    def _register(self, query: Query, shapes: SceneShapes) -> PlacedScene:
         sensor = sensor_of(self.dataset.summary, query.sensor, query.scene_id)
         image, support, scale = _calibrated(query.image, sensor)
         parts = [KnownShape.of(name, mesh) for name, mesh in shapes.parts.items()]
@@ -194,28 +175,13 @@ class KnownShapeRegistration:
         if not sensor.simulated_table:  # its height over the table was measured
             x, y, z = world_from_camera.xyz
             world_from_camera = Pose(world_from_camera.wxyz, np.array([x, y, z / scene.scale]))
-        return _Registered(scene, world_from_camera)
+        return PlacedScene(scene, world_from_camera)
 
 
-def agreed_motions(images: Sequence[Sequence[PredictedMotion]], middle: np.ndarray) -> list[PredictedMotion]:
-    """The motions by several images of a part whose middle is at (3,) [m]; the best are near one of every image.
-
-    Each is the mean of the motions that images have near it, and fails if all of these do.
-    """
-    if len(images) < 2:
-        return [motion for image in images for motion in image]
-    found: list[PredictedMotion] = []
-    for motion in (motion for image in images for motion in image):
-
-        def apart(other: PredictedMotion, motion: PredictedMotion = motion) -> float:
-            return difference(motion.goal_from_now, other.goal_from_now, middle)
-
-        near = [each for each in (min(image, key=apart) for image in images) if apart(each) < NEAR]
-        weights = [max(each.confidence, LEAST_WEIGHT) for each in near]
-        mean = mean_motion([each.goal_from_now for each in near], weights, middle)
-        fails = math.prod(1 - each.confidence for each in near)
-        found.append(PredictedMotion(mean, round(1 - fails, CONFIDENCE_DECIMALS)))
-    return sorted(found, key=lambda motion: -motion.confidence)
+def _shown(placed: PlacedScene, body: RegisteredBody) -> FoundShape:
+    """A body for a person to look at."""
+    mesh = body.standing.shape.mesh.moved(placed.world_from(body))
+    return FoundShape(body.name, mesh, tuple(placed.scene.doubts(body)))
 
 
 def _given(query: Query, shapes: SceneShapes | None) -> SceneShapes:

@@ -94,7 +94,8 @@ class RegisteredScene:
     """The kits and the parts that were found, in the order in which they were given."""
 
     bodies: tuple[RegisteredBody, ...]
-    support: Support
+    image: DisparityImage
+    """In which they were found."""
     scale: float
     """Measured over true depth."""
     scale_spread: float
@@ -156,7 +157,7 @@ def registered_from(search: SceneSearch, bodies: Bodies, before: DepthScale) -> 
         RegisteredBody(body, label if labels.count(label) == 1 else 0, _agreement(body, found, search, scale))
         for body, label in zip(found, labels, strict=True)
     )
-    return RegisteredScene(tuple(registered), search.image.support, scale, spread)
+    return RegisteredScene(tuple(registered), search.image, scale, spread)
 
 
 def _depth_scale(image: DisparityImage, bodies: Bodies, before: DepthScale) -> DepthScale:

@@ -13,12 +13,11 @@ from kit1000.dataset.own_scenes import OWN
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.known_shapes import predictor as module
-from kit1000.known_shapes.predictor import KnownShapeRegistration, agreed_motions
+from kit1000.known_shapes.predictor import KnownShapeRegistration
 from kit1000.metrics import seatings
 from kit1000.pose import Pose
 from kit1000.prediction.making import method_of
 from kit1000.prediction.predict import RunConfig, predict
-from kit1000.predictor import PredictedMotion
 from kit1000.registration.predictor import stated_clearances
 from kit1000.values import FIRST_PART_LABEL, SceneShapes
 from tests.samples.labelled_scenes import own_folder, shapes_folder
@@ -140,19 +139,3 @@ def test_rows_on_own_scenes_state_found_masks(tmp_path: Path) -> None:
     config = RunConfig.of("registration-known", "given", ("test",), None, limit=1, shapes=tmp_path / "shapes")
     submission = predict(config, root, tmp_path / "out", workers=1)
     assert (submission.manifest.reads, submission.manifest.masks) == ("shapes", "predicted")
-
-
-def test_images_that_agree_outvote_one_that_does_not() -> None:
-    middle, right = np.array([0.1, 0.0, 0.02]), Pose.from_rotvec((0.0, 0.0, 1.0), (0.1, 0.2, 0.0))
-    near = Pose.from_translation((1e-3, 0.0, 0.0)) @ right
-    wrong = Pose.from_rotvec((0.0, 0.0, -2.0), (0.1, 0.2, 0.0))
-    images = [[PredictedMotion(wrong, 0.6)], [PredictedMotion(right, 0.5)], [PredictedMotion(near, 0.5)]]
-    best = agreed_motions(images, middle)[0]
-    assert np.allclose(best.goal_from_now.xyz, right.xyz + (0.5e-3, 0.0, 0.0))
-    assert best.confidence == pytest.approx(0.75)
-
-
-def test_one_image_is_its_own_word() -> None:
-    image = [PredictedMotion(Pose.identity(), 0.3), PredictedMotion(Pose.from_translation((0.1, 0.0, 0.0)), 0.2)]
-    assert agreed_motions([image], np.zeros(3)) == image
-    assert agreed_motions([], np.zeros(3)) == []
