@@ -7,12 +7,11 @@ weights. A slow error of the disparities (offset and two slopes about the shape)
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from kit1000.known_shapes.disparity import CORRELATED, FEW_AMOUNTS, SHARP, DisparityImage, Window, slow_errors
+from kit1000.known_shapes.disparity import CORRELATED, SHARP, DisparityImage, Window, slow_errors
 from kit1000.known_shapes.shapes import StandingShape
 from kit1000.perception.calibration.table import tukey_weights
 
@@ -91,10 +90,9 @@ def _equations(
 ) -> tuple[np.ndarray, np.ndarray]:
     """The normal matrix (7, 7) and gradient (7,): place, yaw, log scale, then offset and slopes of the slow error."""
     window, blur = image.window(shape, others, scale), SHARP if reach <= FINE[0] else FAR
-    few = replace(image, amounts=FEW_AMOUNTS)  # enough for slopes
 
     def expected(moved: StandingShape, by: Window = window) -> np.ndarray:
-        return few.expected(by.exact(moved)[0], blur)[0]
+        return image.expected(by.exact(moved)[0], blur)[0]
 
     exact, inside = window.exact(shape)
     mean, variance = image.expected(exact, blur)

@@ -36,7 +36,7 @@ class Screened(NamedTuple):
 KIT_SCREENED, KIT_REFINED = Screened(24, 24, 24), 6  # for the kits, and how many of these are refined
 NEARBY = np.array([(x, y, 0.0) for x, y in product(np.linspace(-16e-3, 16e-3, 5), repeat=2)])
 """[m] moves of kits that explain the image badly: a cavity that is seen obliquely misleads the heights."""
-MASK_SCREENED, MASK_REFINED = Screened(20, 20, 1), 1  # for a part over a mask
+MASK_SCREENED, MASK_REFINED = Screened(20, 20, 1), 2  # for a part over a mask
 SPOT_SCREENED, SPOT_REFINED = Screened(100, 100, 1), 5  # at a spot beside all other bodies
 DOUBTFUL, DOUBTFUL_SCREENED = 0.018, Screened(450, 450, 2)  # the same for a part that leaves more unexplained
 GRID_SCREENED = Screened(300, 30, 24)  # on the whole table
@@ -96,11 +96,11 @@ class SceneSearch:
         found = self._candidates(self.grid, views_from_above(kits, KIT_YAWS), kits, KIT_SCREENED, KIT_REFINED)
         if not found:
             raise InputError("the image shows no kits of this shape")
-        standing = fit(self.image, found[0].shape, reaches=FINE).shape
+        standing = fit(self.image, found[0].shape, reaches=2 * FINE).shape
         if self.image.window(standing).explained(standing).misfit > BADLY:
             near = [each.at(each.place + move) for _, each in found for move in NEARBY]
             found = self._refined(near, KIT_REFINED)
-            standing = fit(self.image, found[0].shape, reaches=FINE).shape
+            standing = fit(self.image, found[0].shape, reaches=2 * FINE).shape
         self.rivals[kits.name] = [shape for _, shape in found]
         return standing
 
