@@ -28,6 +28,7 @@ from kit1000.capture.importing import imported_scenes
 from kit1000.capture.options import ImportOptions
 from kit1000.capture.own_folder import write_own_folder
 from kit1000.capture.own_scene import OwnScene
+from kit1000.dataset.json_rows import pose_row
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.metrics import seatings
 from kit1000.pose import Pose
@@ -36,7 +37,7 @@ from kit1000.rng import stream
 from kit1000.sim.cameras import CAMERA, draw_primary_pose
 from kit1000.sim.render import render
 from kit1000.sim.sensors import sense
-from kit1000.values import FIRST_PART_LABEL, Query, View
+from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, Query, View
 
 SENSOR, SPLIT, UNIT = "d415", "val", 1e-3  # the last: [m] of the depths in a file
 PLACES = (1, 2, 4)
@@ -110,8 +111,7 @@ def imported(views: Sequence[View], folder: Path) -> list[OwnScene]:
     """The import of images, each saved with its pose."""
     for number, view in enumerate(views):
         Image.fromarray(np.rint(view.depth / UNIT).astype(np.uint16)).save(folder / f"{number}.png")
-        pose = {"wxyz": view.world_from_camera.wxyz.tolist(), "xyz": view.world_from_camera.xyz.tolist()}
-        (folder / f"{number}.json").write_text(json.dumps(pose), encoding="utf-8")
+        (folder / f"{number}.json").write_text(json.dumps(pose_row(view.world_from_camera)), encoding="utf-8")
     return imported_scenes(
         ImportOptions(
             sources=tuple(folder / f"{number}.png" for number in range(len(views))),
@@ -128,7 +128,7 @@ def imported(views: Sequence[View], folder: Path) -> list[OwnScene]:
 
 def counted(own: OwnScene, labels: np.ndarray) -> Row:
     """The number of parts too many, and the IoU of the kits, in an import. labels: (H, W) the true masks."""
-    kits = own.image.labels == 1, labels == 1
+    kits = own.image.labels == ASSEMBLY_LABEL, labels == ASSEMBLY_LABEL
     seen = np.unique(labels[labels >= FIRST_PART_LABEL])
     return {"off": len(own.parts) - len(seen), "kits": (kits[0] & kits[1]).sum() / (kits[0] | kits[1]).sum()}
 

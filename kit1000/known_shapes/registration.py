@@ -15,7 +15,7 @@ import numpy as np
 from kit1000.known_shapes.disparity import DisparityImage
 from kit1000.known_shapes.fit import FINE, fit
 from kit1000.known_shapes.scene_search import GAP, SPOT, Bodies, SceneSearch
-from kit1000.known_shapes.shapes import KnownShape, ShapeDistance, StandingShape, apart, neighbours
+from kit1000.known_shapes.shapes import KnownShape, StandingShape, apart, neighbours
 from kit1000.known_shapes.support import Support, seen_support
 from kit1000.perception.sensor_facts import SensorFacts
 from kit1000.pose import Pose
@@ -175,7 +175,7 @@ def _depth_scale(image: DisparityImage, bodies: Bodies, before: DepthScale) -> D
 
 def _agreement(body: StandingShape, bodies: Sequence[StandingShape], search: SceneSearch, scale: float) -> Agreement:
     """The agreement of a body, with its lead over rivals at its spot."""
-    distance, pose = ShapeDistance(body.shape.mesh), body.camera_from_body()
+    distance, pose = body.shape.distance, body.camera_from_body()
     near = (other for other in search.rivals[body.shape.name] if apart(body, other) < SPOT)
     others = [each for each in near if distance.between(pose, each.camera_from_body()) > SAME_POSE]
     rest = [each for each in bodies if each is not body]

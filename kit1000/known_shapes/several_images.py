@@ -69,6 +69,11 @@ class SeenPart(NamedTuple):
     """The body of the scene that it replaces, if another image proposed its pose."""
 
     @property
+    def own(self) -> RegisteredBody:
+        """The body of the scene in its place."""
+        return self.instead_of or self.body
+
+    @property
     def there(self) -> bool:
         """Whether it may be the part that was looked for."""
         return self.distance < self.body.standing.radius
@@ -99,9 +104,9 @@ def _alike(one: SeenPart, other: SeenPart) -> bool:
     """Whether two images show a part as the same shape at the same pose, but for its place."""
     if one.body.name != other.body.name:
         return False
-    mesh = one.body.standing.shape.mesh
-    alike = _rotated(one.world_from_part, other.world_from_part, mesh)
-    return ShapeDistance(mesh).between(one.world_from_part, alike) < SAME_POSE
+    shape = one.body.standing.shape
+    alike = _rotated(one.world_from_part, other.world_from_part, shape.mesh)
+    return shape.distance.between(one.world_from_part, alike) < SAME_POSE
 
 
 def _as_in(part: SeenPart, other: SeenPart) -> SeenPart:
@@ -119,16 +124,15 @@ def _as_in(part: SeenPart, other: SeenPart) -> SeenPart:
 
 def _beside(part: SeenPart, standing: StandingShape) -> list[StandingShape]:
     """The bodies of an image beside a shape that takes the place of a part there."""
-    own = part.instead_of or part.body
-    others = (body for body in part.placed.scene.bodies if body is not own and body.name != standing.shape.name)
+    bodies, name = part.placed.scene.bodies, standing.shape.name
+    others = (body for body in bodies if body is not part.own and body.name != name)
     return neighbours(standing, [body.standing for body in others], GAP)
 
 
 def _gain(part: SeenPart) -> float:
     """The pixels of its image that a part explains, less those that its shape explains where the image has it."""
     scene, standing = part.placed.scene, part.body.standing
-    own = part.instead_of or part.body
-    elsewhere = [body for body in scene.bodies if body.name == part.body.name and body is not own]
+    elsewhere = [body for body in scene.bodies if body.name == part.body.name and body is not part.own]
     gains = [
         scene.image.window(each, _beside(part, each), scene.scale).explained(each).gain
         for each in (standing, *(body.standing for body in elsewhere))

@@ -50,6 +50,11 @@ class KnownShape:
         return np.array(list(product(*self.mesh.bounds.T)))
 
     @cached_property
+    def distance(self) -> ShapeDistance:
+        """The distance between two of its poses."""
+        return ShapeDistance(self.mesh)
+
+    @cached_property
     def levels(self) -> tuple[Pose, ...]:
         """table_from_body for each face down: its box is centred over the origin, its lowest point is at z = 0."""
         kept: list[np.ndarray] = []
