@@ -1,4 +1,9 @@
-"""Masks cut back to what segmentation confirms: by networks, or by rules for a structured-light scanner."""
+"""Masks with the outlines that segmentation sees: by networks, or by rules for a structured-light scanner.
+
+Bodies are found by their height over the ripple of the table, which leaves out their feet and narrow edges; networks
+have learned where bodies end. Simulated images of val, 1 mm PNG: IoU of parts 0.80 by height, 0.89 by networks, and
+unknown shapes seated 29 of 111, by height 22.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +20,7 @@ from kit1000.perception.segmentation.instances import find_bodies, segmented
 from kit1000.perception.sensor_facts import SensorFacts
 from kit1000.values import ASSEMBLY_LABEL, View
 
-AGREED = 0.5  # least share of a body that the network sees as body too
+AGREED = 0.5  # least IoU of a body and what the network sees of it; least share of a body that lies in one instance
 LEAST_PART = 150  # [px] of an instance
 LEAST_SHARE = 0.12  # ratio of the pixels of an instance to those of the largest one in a body, at least
 ROUND = 0.88  # area over convex area from above: a body with more than that is one part
@@ -26,7 +31,7 @@ LONGEST = 0.2  # [m] of bodies that may be several parts: the networks know part
 class Found(NamedTuple):
     """What segmentation sees."""
 
-    body: np.ndarray  # (H, W) bool: something on the table
+    kits: np.ndarray  # (H, W) bool
     instances: np.ndarray  # (H, W) int: from 1 on the parts of the parts' half, 0 elsewhere
 
 
@@ -35,10 +40,10 @@ def networks_available() -> bool:
     return find_spec("torch") is not None and find_spec("safetensors") is not None
 
 
-def cut_back(
+def outlined(
     table: Table, depth: np.ndarray, bodies: Sequence[SeenBody], doubtful: Sequence[SeenBody], facts: SensorFacts
 ) -> tuple[SeenBody, list[SeenBody]]:
-    """The kit and the parts with masks cut back to where the networks agree.
+    """The kit and the parts with the outlines that the networks see.
 
     Touching parts become several, and bodies of one part become one.
 
@@ -56,19 +61,19 @@ def cut_back(
     found = _found(View(table.image.camera, world.world_from_camera, depth), facts)
     parts += [body for body in doubtful if _is_instance(body, found)]
     whole = _joined(table, parts, found)
-    return _agreed(table, kit, found.body), [piece for part in whole for piece in _pieces(table, part, found)]
+    return _with_outline(table, kit, found.kits), [piece for part in whole for piece in _pieces(table, part, found)]
 
 
 def _found(view: View, facts: SensorFacts) -> Found:
     """What the networks see; for a scanner, whose images no network restores, what the rules see."""
     if not facts.kind.restores:
         labels = segmented(view, facts)
-        return Found(labels > 0, np.maximum(labels.astype(int) - ASSEMBLY_LABEL, 0))
+        return Found(labels == ASSEMBLY_LABEL, np.maximum(labels.astype(int) - ASSEMBLY_LABEL, 0))
     from kit1000.perception.segmentation.predicted_masks import mask_networks
 
     restorer, finder = mask_networks()
     bodies = find_bodies(view, facts, restorer)
-    return Found(bodies.kits | bodies.parts, finder(bodies))
+    return Found(bodies.kits, finder(bodies))
 
 
 def _is_instance(body: SeenBody, found: Found) -> bool:
@@ -91,23 +96,20 @@ def _joined(table: Table, parts: Sequence[SeenBody], found: Found) -> list[SeenB
     return list(whole.values())
 
 
-def _agreed(table: Table, body: SeenBody, seen: np.ndarray) -> SeenBody:
-    """A body without the pixels that segmentation sees as table; unchanged if both disagree too much."""
-    common = body.mask & seen
-    if common.sum() < AGREED * body.mask.sum() or not (table.image.depth[common] > 0).any():
-        return body
-    return measured_body(table, common)
+def _with_outline(table: Table, body: SeenBody, seen: np.ndarray) -> SeenBody:
+    """A body with the outline that segmentation sees (H, W) bool; unchanged if both disagree too much."""
+    agree = (body.mask & seen).sum() > AGREED * (body.mask | seen).sum()
+    return measured_body(table, seen) if agree and (table.image.depth[seen] > 0).any() else body
 
 
 def _pieces(table: Table, body: SeenBody, found: Found) -> list[SeenBody]:
     """The parts that a body consists of, the largest first; one if its outline is that of a single part."""
-    agreed = _agreed(table, body, found.body)
-    counts = np.bincount(found.instances[agreed.mask], minlength=1)
+    counts = np.bincount(found.instances[body.mask], minlength=1)
     counts[0] = 0
     numbers = np.flatnonzero(counts >= max(LEAST_PART, LEAST_SHARE * counts.max()))
-    if len(numbers) < 2 or agreed.sides[1] > LONGEST or _roundness(table, agreed) > ROUND:
-        return [agreed]
-    masks = [agreed.mask & (found.instances == number) for number in numbers]
+    if len(numbers) < 2 or body.sides[1] > LONGEST or _roundness(table, body) > ROUND:
+        return [_with_outline(table, body, np.isin(found.instances, numbers))]
+    masks = [found.instances == number for number in numbers]
     masks = [mask for mask in masks if (table.image.depth[mask] > 0).any()]
     return sorted((measured_body(table, mask) for mask in masks), key=lambda piece: -piece.area)
 

@@ -11,7 +11,7 @@ import numpy as np
 from kit1000.capture.depth_frames import DepthFrame, mean_depth, metric_depth, stated_unit
 from kit1000.capture.intrinsics import Intrinsics
 from kit1000.capture.known_sensors import is_scanner, known_baseline
-from kit1000.capture.mask_networks import cut_back
+from kit1000.capture.mask_networks import outlined
 from kit1000.capture.options import ImportOptions
 from kit1000.capture.own_world import OwnWorld, world_of_bodies, world_of_pose
 from kit1000.capture.pinhole_images import PinholeImage, pinhole_image
@@ -93,7 +93,7 @@ def own_scene(
         _check_assumed_unit(source, unit, table.distance, chosen[0].sides)
     facts = _facts(first, known, image, table, options, unit)
     if options.networks:
-        kit, parts = cut_back(table, on_depth_grid(image.depth), chosen, bodies.doubtful, facts)
+        kit, parts = outlined(table, on_depth_grid(image.depth), chosen, bodies.doubtful, facts)
         chosen = [kit, *parts]
     if pose is None:
         world = world_of_bodies(table, chosen[0], chosen[1:])

@@ -20,8 +20,8 @@ from kit1000.capture.scene_report import check_size, report
 from kit1000.capture.table_search import Table, find_table
 from kit1000.errors import InputError
 from kit1000.pose import Pose
-from kit1000.sim.sensors import SENSORS
-from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL
+from kit1000.sim.sensors import SENSORS, sense
+from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, View
 from tests.samples.own_images import CAMERA, EYE, KIT, PARTS, exact_depth, millimetres, noisy_depth
 
 KNOWN = Intrinsics(CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy, device="Intel RealSense D435i")
@@ -34,6 +34,10 @@ def wanted(**values: Any) -> ImportOptions:
 
 
 BY_DEPTH = wanted()
+
+
+def iou(a: np.ndarray, b: np.ndarray) -> float:
+    return (a & b).sum() / (a | b).sum()
 
 
 def scene_of(
@@ -101,6 +105,15 @@ def test_a_low_part_on_a_rippled_table_counts_where_the_networks_see_it() -> Non
     assert len(scene_of(alone, wanted(networks=True)).parts) == 1
     empty = noisy_depth(exact_depth((KIT, *PARTS)), 0.2)
     assert len(scene_of(empty, wanted(networks=True)).parts) == len(PARTS)
+
+
+def test_the_outlines_of_networks_are_nearer_the_true_ones() -> None:
+    true = exact_depth() < exact_depth(()) - 1e-4
+    depth = sense("d415", View(CAMERA, EYE, exact_depth()), np.random.default_rng(3)).depth
+    by_height, by_networks = (
+        scene_of(depth, wanted(networks=with_them)).image.labels > 0 for with_them in (False, True)
+    )
+    assert iou(by_networks, true) > iou(by_height, true) + 0.02
 
 
 def test_a_part_that_a_gap_without_returns_cuts_is_one() -> None:
