@@ -14,13 +14,15 @@ from typing import NamedTuple
 import numpy as np
 
 from kit1000.capture.own_world import world_of_bodies
-from kit1000.capture.seen_bodies import SeenBody, measured_body
-from kit1000.capture.table_search import Table, convex_outline
-from kit1000.perception.segmentation.instances import find_bodies, segmented
+from kit1000.capture.seen_bodies import EDGE, SeenBody, measured_body
+from kit1000.capture.table_search import Table, convex_outline, inside_outline
+from kit1000.perception.segmentation.instances import find_bodies, segmented, world_points
 from kit1000.perception.sensor_facts import SensorFacts
 from kit1000.values import ASSEMBLY_LABEL, View
 
 AGREED = 0.5  # least IoU of a body and what the network sees of it; least share of a body that lies in one instance
+LOW_PIXELS, LOW_HEIGHT = 650, 6e-3  # [px], [m] of instances that no body covers: 47 of 52 are parts (val, train)
+LOW_COVERED = 0.3  # share of such an instance that bodies cover, at most
 LEAST_PART = 150  # [px] of an instance
 LEAST_SHARE = 0.12  # ratio of the pixels of an instance to those of the largest one in a body, at least
 ROUND = 0.88  # area over convex area from above: a body with more than that is one part
@@ -33,6 +35,7 @@ class Found(NamedTuple):
 
     kits: np.ndarray  # (H, W) bool
     instances: np.ndarray  # (H, W) int: from 1 on the parts of the parts' half, 0 elsewhere
+    heights: np.ndarray  # (H, W) [m] above the table, of a restored image; 0 without a return
 
 
 def networks_available() -> bool:
@@ -51,7 +54,7 @@ def outlined(
         table: of the image.
         depth: (H, W) float32 [m] on the grid of recordings.
         bodies: the kit first.
-        doubtful: bodies that count as parts only where the networks see the same.
+        doubtful: bodies that tell where the parts are if there are no others.
         facts: about the sensor.
     """
     kit, *parts = bodies
@@ -59,8 +62,7 @@ def outlined(
     if world.gap is None or world.gap <= 0:  # the networks know scenes in two halves
         return kit, parts
     found = _found(View(table.image.camera, world.world_from_camera, depth), facts)
-    parts += [body for body in doubtful if _is_instance(body, found)]
-    whole = _joined(table, parts, found)
+    whole = _joined(table, parts + _low_parts(table, bodies, found), found)
     return _with_outline(table, kit, found.kits), [piece for part in whole for piece in _pieces(table, part, found)]
 
 
@@ -68,19 +70,34 @@ def _found(view: View, facts: SensorFacts) -> Found:
     """What the networks see; for a scanner, whose images no network restores, what the rules see."""
     if not facts.kind.restores:
         labels = segmented(view, facts)
-        return Found(labels == ASSEMBLY_LABEL, np.maximum(labels.astype(int) - ASSEMBLY_LABEL, 0))
+        parts = np.maximum(labels.astype(int) - ASSEMBLY_LABEL, 0)
+        return Found(labels == ASSEMBLY_LABEL, parts, _heights(view))
     from kit1000.perception.segmentation.predicted_masks import mask_networks
 
     restorer, finder = mask_networks()
     bodies = find_bodies(view, facts, restorer)
-    return Found(bodies.kits, finder(bodies))
+    return Found(bodies.kits, finder(bodies), _heights(bodies.view))
 
 
-def _is_instance(body: SeenBody, found: Found) -> bool:
-    """Whether segmentation sees a body as one instance, and nothing else in it."""
-    number = int(np.bincount(found.instances[body.mask]).argmax())
-    both = body.mask & (found.instances == number)
-    return number > 0 and both.sum() > AGREED * (body.mask | (found.instances == number)).sum()
+def _heights(view: View) -> np.ndarray:
+    """(H, W) [m] above the table, 0 without a return."""
+    return np.where(view.depth > 0, world_points(view)[..., 2], 0.0)
+
+
+def _low_parts(table: Table, bodies: Sequence[SeenBody], found: Found) -> list[SeenBody]:
+    """The instances that no body covers: parts that the ripple of the table hides, but not from the networks."""
+    pixels = np.bincount(found.instances.ravel())
+    covered = np.bincount(found.instances[np.any([body.mask for body in bodies], axis=0)], minlength=len(pixels))
+    heights = np.bincount(found.instances.ravel(), found.heights.ravel()) / np.maximum(pixels, 1)
+    low = (pixels >= LOW_PIXELS) & (covered < LOW_COVERED * pixels) & (heights > LOW_HEIGHT)
+    masks = (found.instances == number for number in np.flatnonzero(low) if number)
+    return [measured_body(table, mask) for mask in masks if _is_on_table(table, mask)]
+
+
+def _is_on_table(table: Table, mask: np.ndarray) -> bool:
+    """Whether most of the returns in a mask (H, W) bool lie inside the outline of the table."""
+    feet = table.ground(mask)
+    return len(feet) > 0 and bool(np.mean(inside_outline(feet, table.outline, EDGE)) > 0.5)
 
 
 def _joined(table: Table, parts: Sequence[SeenBody], found: Found) -> list[SeenBody]:

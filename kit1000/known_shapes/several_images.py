@@ -20,9 +20,10 @@ from kit1000.known_shapes.shapes import ShapeDistance, StandingShape, neighbours
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.predictor import PredictedMotion
-from kit1000.registration.rank import NEAR, difference, mean_motion
+from kit1000.registration.rank import difference, mean_motion
 
 CONFIDENCE_DECIMALS = 4
+NEAR = 8e-3  # [m] largest difference between motions of the same pose
 LEAST_WEIGHT = 0.01  # of a motion in a mean
 ROTATED = 0.2  # [rad] between two poses of a symmetric shape, at least
 

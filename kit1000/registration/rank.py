@@ -5,9 +5,10 @@ none is: a weighted sum of its features, with other weights once it is refined i
 is exp(s_i) / (1 + sum of exp(s_j) over the fits in different places). `bench/quality/ranking.py` fits the weights to
 fits of split train of which the outcome is known.
 
-If several images show one scene, each fit is the mean of the fits of the images near it. The noise of an image and the
-error of its camera that calibration leaves are independent of other images, so the error of the mean of n images is
-about 1 / sqrt(n) of that of one image. Wrong fits rarely agree between views.
+If several images show one scene, each fit is the geometric median of the fits of the images near it. Noise, outlines
+and what calibration leaves of the error of a camera are independent of other images, so the median is nearer the truth
+than one image, and an image that sees the part or its cavity badly does not move it far. By four imported d415 images
+it seats 53 %, the mean 46 % (n 177, train and val). Wrong fits rarely agree between views.
 """
 
 from __future__ import annotations
@@ -36,9 +37,10 @@ SAME_PLACE = 0.6e-3  # [m] mean distance between two places of a part's surface,
 CONFIDENCE_DECIMALS = 9  # the last digits of an exponential depend on the processor
 MOST_FITS = 6  # best fits of each image
 ARM = 20e-3  # [m] lever of a rotation in the difference of two motions: half of a typical part
-NEAR = 8e-3  # [m] largest difference between fits of the same pose
-DISAGREEMENT = 0.6e3  # [1/m] of score, by which the fits differ from their mean
-CERTAIN = 4.0  # a fit has the weight 1 / (CERTAIN - score) in the mean
+NEAR = 12e-3  # [m] largest difference between fits of the same pose
+MEDIAN_ROUNDS, LEAST_APART = 8, 1e-3  # of Weiszfeld's iteration; [m] below which a motion pulls no stronger
+DISAGREEMENT = 0.6e3  # [1/m] of score, by which the fits differ from their median
+CERTAIN = 4.0  # a fit has the weight 1 / (CERTAIN - score) in the median
 LEAST_UNCERTAINTY = 1.0  # least value of that difference
 COMPANY = 4.0  # of score that comes if e times as many images have a fit near
 SAME_PART = 25e-3  # [m] level distance between what two images show of the same part: half of a typical part, and more
@@ -130,14 +132,14 @@ def agreed(images: Sequence[Sequence[Fit]], middle: np.ndarray) -> list[Fit]:
         middle: (3,) [m] world, of the part as it lies now.
 
     Returns:
-        A fit for every pose: the mean of the fits that images have near it.
+        A fit for every pose: the geometric median of the fits that images have near it.
     """
     seen = [fits for fits in images if fits]
     if len(seen) < 2:
         return [fit for fits in seen for fit in fits]
     best = [fits[:MOST_FITS] for fits in seen]
     found: list[Fit] = []
-    for fit in ranked(_mean_fit(fit, best, middle) for fits in best for fit in fits):
+    for fit in ranked(_median_fit(fit, best, middle) for fits in best for fit in fits):
         if not any(same_place(fit, other) for other in found):
             found.append(fit)
     return found
@@ -153,6 +155,15 @@ def mean_motion(motions: Sequence[Pose], weights: Sequence[float], middle: np.nd
     return Pose(rotation.wxyz, place - rotation.apply(middle))
 
 
+def median_motion(motions: Sequence[Pose], weights: Sequence[float], middle: np.ndarray) -> Pose:
+    """The weighted geometric median by `difference` (Weiszfeld 1937): one motion that is far off moves it little."""
+    found = mean_motion(motions, weights, middle)
+    for _ in range(MEDIAN_ROUNDS):
+        apart = [max(difference(found, motion, middle), LEAST_APART) for motion in motions]
+        found = mean_motion(motions, [w / far for w, far in zip(weights, apart, strict=True)], middle)
+    return found
+
+
 def difference(a: Pose, b: Pose, middle: np.ndarray) -> float:
     """[m] difference of two motions of a part: of its middle (3,) [m], and ARM away from it."""
     place = length(a.apply(middle) - b.apply(middle))
@@ -160,11 +171,11 @@ def difference(a: Pose, b: Pose, middle: np.ndarray) -> float:
     return float(np.sqrt(place**2 + (2 * ARM * chord) ** 2))
 
 
-def _mean_fit(fit: Fit, images: Sequence[Sequence[Fit]], middle: np.ndarray) -> Fit:
-    """The mean of a fit and of the fits that other images have near it."""
+def _median_fit(fit: Fit, images: Sequence[Sequence[Fit]], middle: np.ndarray) -> Fit:
+    """The geometric median of a fit and of the fits that other images have near it."""
     near = [each for each in (_nearest(fit, fits, middle) for fits in images) if each is not None]
     weights = [1 / max(CERTAIN - each.score, LEAST_UNCERTAINTY) for each in near]
-    motion = mean_motion([each.goal_from_now for each in near], weights, middle)
+    motion = median_motion([each.goal_from_now for each in near], weights, middle)
     score = float(np.mean([_score_beside(motion, each, middle) for each in near])) + COMPANY * float(np.log(len(near)))
     return replace(moved(fit, motion), score=score)
 

@@ -1,4 +1,4 @@
-"""Fits by several images: what their mean obeys, which fits find company, and how sure the mean is."""
+"""Fits by several images: what mean and median obey, which fits find company, and how sure the median is."""
 
 from __future__ import annotations
 
@@ -7,10 +7,12 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.typing import ArrayLike
 
 from kit1000.pose import Pose, random_quaternions
-from kit1000.registration.rank import COMPANY, DISAGREEMENT, NEAR, Fit, agreed, difference, mean_motion
+from kit1000.registration.rank import COMPANY, DISAGREEMENT, NEAR, Fit, agreed, difference, mean_motion, median_motion
 from kit1000.registration.search import Candidate
 
 MIDDLE = np.array([0.05, -0.17, 0.02])
@@ -44,6 +46,15 @@ def test_the_mean_halves_what_two_fits_are_off() -> None:
     np.testing.assert_allclose((mean @ true.inverse()).rotvec(), (0, 0, 0.02), atol=1e-6)
     nearer = mean_motion(off, [3.0, 1.0], MIDDLE)
     np.testing.assert_allclose(nearer.apply(MIDDLE) - true.apply(MIDDLE), (1.5e-3, 0.5e-3, 0), atol=1e-12)
+
+
+@given(away=st.floats(4e-3, 11e-3), direction=st.sampled_from(np.eye(3).tolist()))
+def test_one_motion_that_is_far_off_moves_the_median_little(away: float, direction: list[float]) -> None:
+    near = [about(RIGHT, step) for step in ((1e-4, 0, 0), (0, 1e-4, 0), (0, 0, 1e-4))]
+    motions = [*near, about(RIGHT, away * np.array(direction))]
+    weights = [1.0] * len(motions)
+    median, mean = (combine(motions, weights, MIDDLE) for combine in (median_motion, mean_motion))
+    assert difference(median, RIGHT, MIDDLE) < 0.5 * difference(mean, RIGHT, MIDDLE)
 
 
 def test_the_surer_fit_weighs_more() -> None:
