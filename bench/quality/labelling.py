@@ -29,13 +29,13 @@ from kit1000.known_shapes.registration import (
     RegisteredScene,
     register_scene,
     registered_from,
-    stated_scale,
 )
 from kit1000.known_shapes.scene_search import SceneSearch
 from kit1000.known_shapes.shapes import KnownShape, ShapeDistance, StandingShape
 from kit1000.known_shapes.support import seen_support
 from kit1000.mesh import Mesh
 from kit1000.metrics import seatings
+from kit1000.perception.calibration.depth_scale import stated_scale
 from kit1000.perception.segmentation.instances import segmented
 from kit1000.perception.segmentation.predicted_masks import mask_networks
 from kit1000.perception.sensor_facts import SensorFacts, sensor_of, simulated_sensor

@@ -13,8 +13,6 @@ import numpy as np
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.known_shapes.registration import (
-    SCALE_SPREAD,
-    DepthScale,
     RegisteredBody,
     RegisteredScene,
     register_scene,
@@ -30,6 +28,7 @@ from kit1000.known_shapes.shapes import KITS, KnownShape
 from kit1000.known_shapes.support import Support, recorded_support
 from kit1000.mesh import Mesh
 from kit1000.perception.calibration import camera_estimate_by
+from kit1000.perception.calibration.depth_scale import SCALE_SPREAD, DepthScale
 from kit1000.perception.sensor_facts import SensorFacts, sensor_of
 from kit1000.pose import Pose
 from kit1000.predictor import PredictedMotion

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -17,39 +16,17 @@ from kit1000.known_shapes.fit import FINE, fit
 from kit1000.known_shapes.scene_search import GAP, SPOT, Bodies, SceneSearch
 from kit1000.known_shapes.shapes import KnownShape, StandingShape, apart, neighbours
 from kit1000.known_shapes.support import Support, seen_support
+from kit1000.perception.calibration.depth_scale import MOST_SCALE, DepthScale, stated_scale
 from kit1000.perception.sensor_facts import SensorFacts
 from kit1000.pose import Pose
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth
 
-SCALE_SPREAD = 1.7e-3  # of the depth scale of a stereo camera: uniform within 0.3 %
-STATED_SPREAD = 0.9e-3  # [m] of a stated height: along one axis, if hand-eye positions are off by 1.5 mm
 EDGE_CORRELATION = 25.0  # by which edges that vary slowly make the scale less certain than independent pixels would
 SCALE_SPREAD_A_PX = 0.4e-3  # of the scale by one shape, for each pixel by which edges extend: 2.3e-3 for a D415 (val)
 LEAST_SCALE_SPREAD = 1e-4
 GOOD, CLEAR_LEAD = 0.03, 50.0  # unexplained share and lead of a certain pose: of 100 such poses of val 94 are right
-MOST_SCALE = 3 * SCALE_SPREAD  # beyond, no camera is believed
 MOST_SPREAD = 1.25e-3  # [m] of a body along the line of sight
 SAME_POSE = 3e-3  # [m] by which the surfaces of two poses differ that count as one
-
-
-class DepthScale(NamedTuple):
-    """Measured over true depth, as far as it is known."""
-
-    value: float = 1.0
-    spread: float = SCALE_SPREAD
-    """Standard deviation."""
-
-
-def stated_scale(sensor: SensorFacts, height: float) -> DepthScale:
-    """The depth scale of an own camera by its stated pose, if there is one that can be right.
-
-    height: [m] of the camera above the table.
-    """
-    ratio = sensor.height_ratio
-    if ratio is None or abs(ratio - 1) > MOST_SCALE:
-        return DepthScale()
-    before, stated = SCALE_SPREAD**-2, (STATED_SPREAD / height) ** -2
-    return DepthScale(1 + (ratio - 1) * stated / (before + stated), (before + stated) ** -0.5)
 
 
 @dataclass(frozen=True)

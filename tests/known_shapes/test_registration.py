@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -13,7 +12,7 @@ import pytest
 from kit1000.errors import InputError
 from kit1000.known_shapes.height_search import HeightGrid, Place
 from kit1000.known_shapes.known_kits import KITS
-from kit1000.known_shapes.registration import DepthScale, RegisteredScene, register_scene, stated_scale
+from kit1000.known_shapes.registration import RegisteredScene, register_scene
 from kit1000.known_shapes.shapes import KnownShape
 from kit1000.perception.sensor_facts import SensorFacts
 from kit1000.pose import Pose
@@ -121,19 +120,6 @@ def test_sizes_tell_the_depth_scale_of_a_sharp_image(scale: float) -> None:
     result = registered(scene)
     assert result.scale == pytest.approx(scale, abs=3 * result.scale_spread)
     assert abs(result.scale - scale) < abs(1 - scale)
-
-
-@pytest.mark.parametrize("ratio", [0.998, 1.001])
-def test_a_stated_height_tells_the_depth_scale(ratio: float) -> None:
-    near, far = (stated_scale(replace(SHARP, height_ratio=ratio), height) for height in (0.4, 0.8))
-    assert abs(near.value - 1) < abs(far.value - 1) < abs(ratio - 1)  # 1 mm is a smaller share of a larger height
-    assert far.spread < near.spread < DepthScale().spread
-    assert (far.value - 1) * (ratio - 1) > 0
-
-
-@pytest.mark.parametrize("ratio", [None, 0.98, 1.02])
-def test_no_stated_height_or_one_that_cannot_be_right_tells_nothing(ratio: float | None) -> None:
-    assert stated_scale(replace(SHARP, height_ratio=ratio), 0.6) == DepthScale()
 
 
 def test_images_without_what_is_needed_are_refused() -> None:

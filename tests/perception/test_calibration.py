@@ -13,6 +13,7 @@ from kit1000.errors import ShapeError
 from kit1000.mesh import Mesh
 from kit1000.perception.calibration import OUTLINE, CameraEstimate, calibrated, camera_estimate_by, flattened, unbent
 from kit1000.perception.calibration.camera_pose import BORDER_REACH, SPREADS, OutlineEdge, camera_estimate, seen_borders
+from kit1000.perception.calibration.depth_scale import DepthScale, stated_scale
 from kit1000.perception.calibration.table import BENT, PLANE_REACH, correlated_in, table_plane, table_residuals
 from kit1000.perception.restoration import calibrated_image
 from kit1000.perception.sensor_facts import simulated_sensor
@@ -28,6 +29,7 @@ CORNER = look_at((0.45, -0.25, 0.55), (-0.2, 0.25, 0.02))  # sees the edges at x
 MIDDLE = look_at((0.25, 0.03, 0.6), (0.0, 0.03, 0.02))  # sees no edge
 OUTSIDE = look_at((0.75, 0.1, 0.35), (0.0, 0.03, 0.02))  # above the floor beside the table: sees the side at x = 0.6 m
 FAR_X, FAR_Y = OUTLINE[1], OUTLINE[2]
+OWN = replace(simulated_sensor("d415"), simulated_table=False)
 
 
 def rendered(pose: Pose) -> LabelledDepth:
@@ -350,3 +352,29 @@ def test_images_of_stereo_cameras_alone_are_straightened(flat: View) -> None:
         error_on(calibrated_image(bent, simulated_sensor(name)).view, flat, 1).mean() for name in ("d415", "photoneo")
     )
     assert abs(stereo) < 0.5 * abs(scanner)
+
+
+@pytest.mark.parametrize("ratio", [0.998, 1.001])
+def test_a_stated_height_tells_the_depth_scale(ratio: float) -> None:
+    near, far = (stated_scale(replace(OWN, height_ratio=ratio), height) for height in (0.4, 0.8))
+    assert abs(near.value - 1) < abs(far.value - 1) < abs(ratio - 1)  # 1 mm is a smaller share of a larger height
+    assert far.spread < near.spread < DepthScale().spread
+    assert (far.value - 1) * (ratio - 1) > 0
+
+
+@pytest.mark.parametrize("ratio", [None, 0.98, 1.02])
+def test_no_stated_height_or_one_that_cannot_be_right_tells_nothing(ratio: float | None) -> None:
+    assert stated_scale(replace(OWN, height_ratio=ratio), 0.6) == DepthScale()
+
+
+@pytest.mark.parametrize("scale", [0.998, 1.002])
+def test_an_own_image_takes_the_scale_that_its_stated_height_tells(middle: LabelledDepth, scale: float) -> None:
+    x, y, z = MIDDLE.xyz
+    lifted = Pose(MIDDLE.wxyz, np.array([x, y, scale * z]))  # at the measured height over the table
+    recorded = View(CAMERA, lifted, middle.view.depth * np.float32(scale))
+    found = camera_estimate_by(recorded, middle.labels, replace(OWN, height_ratio=scale)).view
+    body = middle.labels > 0
+    off, before = (np.abs(spots(view, body) - spots(middle.view, body)).max() for view in (found, recorded))
+    assert off < 0.5 * before
+    unknown = camera_estimate_by(recorded, middle.labels, OWN).view
+    np.testing.assert_allclose(unknown.depth, recorded.depth, rtol=2e-4)

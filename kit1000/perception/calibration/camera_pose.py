@@ -18,6 +18,7 @@ from kit1000.camera import Camera
 from kit1000.errors import checked
 from kit1000.numerics.elimination import solve_positive
 from kit1000.numerics.linear_algebra import matmul
+from kit1000.perception.calibration.depth_scale import stated_scale
 from kit1000.perception.calibration.table import (
     BENT,
     HALF_SIZES,
@@ -228,8 +229,17 @@ def calibrated_by(view: View, labels: np.ndarray, sensor: SensorFacts) -> View:
 
 
 def camera_estimate_by(view: View, labels: np.ndarray, sensor: SensorFacts) -> CameraEstimate:
-    """The camera of a view of a noisy sensor, by the borders and the reach that belong to it."""
+    """The camera of a view of a noisy sensor, by the borders and the reach that belong to it, and its stated height."""
+    view = at_stated_scale(view, sensor)
     return camera_estimate(view, labels, borders_of(sensor), reach_of(sensor, view), correlated_in(sensor))
+
+
+def at_stated_scale(view: View, sensor: SensorFacts) -> View:
+    """A view of an own camera, whose height over the table was measured, in the scale that its stated height tells."""
+    x, y, z = view.world_from_camera.xyz
+    scale = stated_scale(sensor, float(z)).value
+    pose = Pose(view.world_from_camera.wxyz, np.array([x, y, z / scale]))
+    return View(view.camera, pose, view.depth / np.float32(scale))
 
 
 def camera_estimate(
