@@ -27,7 +27,7 @@ LEAST_PART = 150  # [px] of an instance
 LEAST_SHARE = 0.12  # ratio of the pixels of an instance to those of the largest one in a body, at least
 ROUND = 0.88  # area over convex area from above: a body with more than that is one part
 CELL = 2e-3  # [m] side of the cells of the table by which areas are measured
-LONGEST = 0.2  # [m] of bodies that may be several parts: the networks know parts of 35 to 50 mm
+LONGEST = 0.25  # [m] of bodies that may be several parts: five of 50 mm, as the networks know them
 
 
 class Found(NamedTuple):
@@ -63,7 +63,9 @@ def outlined(
         return kit, parts
     found = _found(View(table.image.camera, world.world_from_camera, depth), facts)
     whole = _joined(table, parts + _low_parts(table, bodies, found), found)
-    return _with_outline(table, kit, found.kits), [piece for part in whole for piece in _pieces(table, part, found)]
+    counts = _instance_counts(whole, found.instances)
+    pieces = [_pieces(table, *counted, found.instances) for counted in zip(whole, counts, strict=True)]
+    return _with_outline(table, kit, found.kits), [piece for some in pieces for piece in some]
 
 
 def _found(view: View, facts: SensorFacts) -> Found:
@@ -119,14 +121,22 @@ def _with_outline(table: Table, body: SeenBody, seen: np.ndarray) -> SeenBody:
     return measured_body(table, seen) if agree and (table.image.depth[seen] > 0).any() else body
 
 
-def _pieces(table: Table, body: SeenBody, found: Found) -> list[SeenBody]:
-    """The parts that a body consists of, the largest first; one if its outline is that of a single part."""
-    counts = np.bincount(found.instances[body.mask], minlength=1)
-    counts[0] = 0
+def _instance_counts(parts: Sequence[SeenBody], instances: np.ndarray) -> np.ndarray:
+    """(k, n) the pixels of each instance in each part; 0 but for the part that shows most of it. instances: (H, W)."""
+    size = instances.max() + 1
+    counts = np.array([np.bincount(instances[part.mask], minlength=size) for part in parts]).reshape(-1, size)
+    return np.where((counts == counts.max(0, initial=1)) & (np.arange(size) > 0), counts, 0)
+
+
+def _pieces(table: Table, body: SeenBody, counts: np.ndarray, instances: np.ndarray) -> list[SeenBody]:
+    """The parts that a body consists of, the largest first; one if its outline is that of a single part.
+
+    counts: (n,) its pixels in each of the instances (H, W).
+    """
     numbers = np.flatnonzero(counts >= max(LEAST_PART, LEAST_SHARE * counts.max()))
     if len(numbers) < 2 or body.sides[1] > LONGEST or _roundness(table, body) > ROUND:
-        return [_with_outline(table, body, np.isin(found.instances, numbers))]
-    masks = [found.instances == number for number in numbers]
+        return [_with_outline(table, body, np.isin(instances, numbers))]
+    masks = [instances == number for number in numbers]
     masks = [mask for mask in masks if (table.image.depth[mask] > 0).any()]
     return sorted((measured_body(table, mask) for mask in masks), key=lambda piece: -piece.area)
 

@@ -46,6 +46,11 @@ def scene_of(
     return own_scene([DepthFrame(depth, "depth.png")], known, options, pose)
 
 
+def shown(scene: OwnScene) -> int:
+    """The number of parts of which the masks show pixels."""
+    return len(np.unique(scene.image.labels[scene.image.labels >= FIRST_PART_LABEL]))
+
+
 @pytest.fixture(scope="module")
 def scene() -> OwnScene:
     return scene_of(millimetres(noisy_depth(exact_depth(), 0.05)))
@@ -94,13 +99,15 @@ def test_touching_parts_of_a_scanner_become_two() -> None:
     assert len(scene_of(depth, wanted(device="PhoXi")).parts) == 1
     found = scene_of(depth, wanted(device="PhoXi", networks=True))
     assert sorted(round(1e3 * part.height) for part in found.parts) == [15, 30]
+    assert shown(found) == 2
 
 
 def test_a_low_part_on_a_rippled_table_counts_where_the_networks_see_it() -> None:
     low = ((0.045, 0.035, 0.0095), (-0.06, -0.16))
     depth = noisy_depth(exact_depth((KIT, *PARTS, low)), 0.2)
     assert len(scene_of(depth).parts) == len(PARTS)
-    assert len(scene_of(depth, wanted(networks=True)).parts) == len(PARTS) + 1
+    found = scene_of(depth, wanted(networks=True))
+    assert len(found.parts) == shown(found) == len(PARTS) + 1
     alone = noisy_depth(exact_depth((KIT, low)), 0.2)
     assert len(scene_of(alone, wanted(networks=True)).parts) == 1
     empty = noisy_depth(exact_depth((KIT, *PARTS)), 0.2)
@@ -122,7 +129,7 @@ def test_a_part_that_a_gap_without_returns_cuts_is_one() -> None:
     depth[250:, u - 2 : u + 2] = 0
     assert len(scene_of(depth, wanted(device="PhoXi")).parts) == len(PARTS) + 1
     found = scene_of(depth, wanted(device="PhoXi", networks=True))
-    assert len(found.parts) == len(PARTS)
+    assert len(found.parts) == shown(found) == len(PARTS)
     assert max(part.sides[1] for part in found.parts) == pytest.approx(0.05, abs=5e-3)
 
 
