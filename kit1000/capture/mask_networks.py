@@ -12,6 +12,7 @@ from importlib.util import find_spec
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import label
 
 from kit1000.capture.own_world import world_of_bodies
 from kit1000.capture.seen_bodies import EDGE, SeenBody, measured_body
@@ -65,7 +66,7 @@ def outlined(
     whole = _joined(table, parts + _low_parts(table, bodies, found), found)
     counts = _instance_counts(whole, found.instances)
     pieces = [_pieces(table, *counted, found.instances) for counted in zip(whole, counts, strict=True)]
-    return _with_outline(table, kit, found.kits), [piece for some in pieces for piece in some]
+    return _with_outline(table, kit, _regions_at(kit.mask, found.kits)), [piece for some in pieces for piece in some]
 
 
 def _found(view: View, facts: SensorFacts) -> Found:
@@ -113,6 +114,12 @@ def _joined(table: Table, parts: Sequence[SeenBody], found: Found) -> list[SeenB
         small = both.sides[1] < LONGEST
         whole[name if small else -place] = both if small else part
     return list(whole.values())
+
+
+def _regions_at(mask: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """(H, W) bool: the connected regions of what is seen that a mask reaches, both (H, W) bool."""
+    regions = np.asarray(label(seen)[0])  # type: ignore[index]
+    return seen & np.isin(regions, regions[mask & seen])
 
 
 def _with_outline(table: Table, body: SeenBody, seen: np.ndarray) -> SeenBody:

@@ -102,6 +102,14 @@ def test_touching_parts_of_a_scanner_become_two() -> None:
     assert shown(found) == 2
 
 
+def test_a_speck_beside_the_kit_is_no_piece_of_it() -> None:
+    speck = ((0.004, 0.004, 0.02), (0.1, 0.08))
+    found = scene_of(noisy_depth(exact_depth((KIT, *PARTS, speck)), 0.01), wanted(device="PhoXi", networks=True))
+    u, v = np.rint(CAMERA.project(EYE.inverse().apply((*speck[1], 0.01)))).astype(int)
+    assert found.image.view.depth[v, u] < exact_depth()[v, u] - 5e-3
+    assert found.image.labels[v, u] == 0
+
+
 def test_a_low_part_on_a_rippled_table_counts_where_the_networks_see_it() -> None:
     low = ((0.045, 0.035, 0.0095), (-0.06, -0.16))
     depth = noisy_depth(exact_depth((KIT, *PARTS, low)), 0.2)
