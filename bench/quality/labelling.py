@@ -24,12 +24,7 @@ from benchmark.measurements import Column, Measurement, estimate, rate
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.known_shapes.disparity import DisparityImage
 from kit1000.known_shapes.known_kits import KITS
-from kit1000.known_shapes.registration import (
-    RegisteredBody,
-    RegisteredScene,
-    register_scene,
-    registered_from,
-)
+from kit1000.known_shapes.registration import RegisteredBody, RegisteredScene, register_scene, registered_from
 from kit1000.known_shapes.scene_search import SceneSearch
 from kit1000.known_shapes.shapes import KnownShape, ShapeDistance, StandingShape
 from kit1000.known_shapes.support import seen_support

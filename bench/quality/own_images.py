@@ -31,7 +31,7 @@ from kit1000.capture.own_folder import write_own_folder
 from kit1000.capture.own_scene import OwnScene
 from kit1000.dataset.json_rows import pose_row
 from kit1000.dataset.reader import Dataset, RecordedScene
-from kit1000.metrics import seatings
+from kit1000.metrics import mean_iou, seatings
 from kit1000.pose import Pose
 from kit1000.prediction.making import make_predictor, method_of
 from kit1000.rng import stream
@@ -135,9 +135,9 @@ def imported(views: Sequence[View], folder: Path) -> list[OwnScene]:
 
 def counted(own: OwnScene, labels: np.ndarray) -> Row:
     """The number of parts too many, and the IoU of the kits, in an import. labels: (H, W) the true masks."""
-    kits = own.image.labels == ASSEMBLY_LABEL, labels == ASSEMBLY_LABEL
+    kits = ((image == ASSEMBLY_LABEL).astype(np.uint8) for image in (own.image.labels, labels))
     seen = np.unique(labels[labels >= FIRST_PART_LABEL])
-    return {"off": len(own.parts) - len(seen), "kits": (kits[0] & kits[1]).sum() / (kits[0] | kits[1]).sum()}
+    return {"off": len(own.parts) - len(seen), "kits": mean_iou(*kits)}
 
 
 def seated(

@@ -12,12 +12,12 @@ from importlib.util import find_spec
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import label
+from scipy.ndimage import binary_propagation
 
 from kit1000.capture.own_world import world_of_bodies
 from kit1000.capture.seen_bodies import EDGE, SeenBody, measured_body
 from kit1000.capture.table_search import Table, convex_outline, inside_outline
-from kit1000.perception.segmentation.instances import find_bodies, segmented, world_points
+from kit1000.perception.segmentation.instances import find_bodies, points_and_heights, segmented
 from kit1000.perception.sensor_facts import SensorFacts
 from kit1000.values import ASSEMBLY_LABEL, View
 
@@ -66,7 +66,8 @@ def outlined(
     whole = _joined(table, parts + _low_parts(table, bodies, found), found)
     counts = _instance_counts(whole, found.instances)
     pieces = [_pieces(table, *counted, found.instances) for counted in zip(whole, counts, strict=True)]
-    return _with_outline(table, kit, _regions_at(kit.mask, found.kits)), [piece for some in pieces for piece in some]
+    kits = np.asarray(binary_propagation(kit.mask & found.kits, mask=found.kits), bool)  # without specks beside them
+    return _with_outline(table, kit, kits), [piece for some in pieces for piece in some]
 
 
 def _found(view: View, facts: SensorFacts) -> Found:
@@ -74,17 +75,12 @@ def _found(view: View, facts: SensorFacts) -> Found:
     if not facts.kind.restores:
         labels = segmented(view, facts)
         parts = np.maximum(labels.astype(int) - ASSEMBLY_LABEL, 0)
-        return Found(labels == ASSEMBLY_LABEL, parts, _heights(view))
+        return Found(labels == ASSEMBLY_LABEL, parts, points_and_heights(view)[1])
     from kit1000.perception.segmentation.predicted_masks import mask_networks
 
     restorer, finder = mask_networks()
     bodies = find_bodies(view, facts, restorer)
-    return Found(bodies.kits, finder(bodies), _heights(bodies.view))
-
-
-def _heights(view: View) -> np.ndarray:
-    """(H, W) [m] above the table, 0 without a return."""
-    return np.where(view.depth > 0, world_points(view)[..., 2], 0.0)
+    return Found(bodies.kits, finder(bodies), np.where(bodies.view.depth > 0, bodies.points[..., 2], 0.0))
 
 
 def _low_parts(table: Table, bodies: Sequence[SeenBody], found: Found) -> list[SeenBody]:
@@ -114,12 +110,6 @@ def _joined(table: Table, parts: Sequence[SeenBody], found: Found) -> list[SeenB
         small = both.sides[1] < LONGEST
         whole[name if small else -place] = both if small else part
     return list(whole.values())
-
-
-def _regions_at(mask: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """(H, W) bool: the connected regions of what is seen that a mask reaches, both (H, W) bool."""
-    regions = np.asarray(label(seen)[0])  # type: ignore[index]
-    return seen & np.isin(regions, regions[mask & seen])
 
 
 def _with_outline(table: Table, body: SeenBody, seen: np.ndarray) -> SeenBody:

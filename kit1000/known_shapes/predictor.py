@@ -12,11 +12,7 @@ import numpy as np
 
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
-from kit1000.known_shapes.registration import (
-    RegisteredBody,
-    RegisteredScene,
-    register_scene,
-)
+from kit1000.known_shapes.registration import RegisteredBody, RegisteredScene, register_scene
 from kit1000.known_shapes.several_images import (
     CONFIDENCE_DECIMALS,
     PlacedScene,
@@ -28,7 +24,7 @@ from kit1000.known_shapes.shapes import KITS, KnownShape
 from kit1000.known_shapes.support import Support, recorded_support
 from kit1000.mesh import Mesh
 from kit1000.perception.calibration import camera_estimate_by
-from kit1000.perception.calibration.depth_scale import SCALE_SPREAD, DepthScale
+from kit1000.perception.calibration.depth_scale import SCALE_SPREAD, DepthScale, in_true_lengths
 from kit1000.perception.sensor_facts import SensorFacts, sensor_of
 from kit1000.pose import Pose
 from kit1000.predictor import PredictedMotion
@@ -172,8 +168,7 @@ class KnownShapeRegistration:
         scene = register_scene(image, sensor, KnownShape.upright(KITS, shapes.assembly), parts, scale, support)
         world_from_camera = image.view.world_from_camera
         if not sensor.simulated_table:  # its height over the table was measured
-            x, y, z = world_from_camera.xyz
-            world_from_camera = Pose(world_from_camera.wxyz, np.array([x, y, z / scene.scale]))
+            world_from_camera = in_true_lengths(world_from_camera, scene.scale)
         return PlacedScene(scene, world_from_camera)
 
 

@@ -19,6 +19,7 @@ from kit1000.capture.pinhole_images import PinholeImage, pinhole_image
 from kit1000.capture.scene_report import check_size, report
 from kit1000.capture.table_search import Table, find_table
 from kit1000.errors import InputError
+from kit1000.metrics import mean_iou
 from kit1000.pose import Pose
 from kit1000.sim.sensors import SENSORS, sense
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, View
@@ -34,10 +35,6 @@ def wanted(**values: Any) -> ImportOptions:
 
 
 BY_DEPTH = wanted()
-
-
-def iou(a: np.ndarray, b: np.ndarray) -> float:
-    return (a & b).sum() / (a | b).sum()
 
 
 def scene_of(
@@ -123,12 +120,13 @@ def test_a_low_part_on_a_rippled_table_counts_where_the_networks_see_it() -> Non
 
 
 def test_the_outlines_of_networks_are_nearer_the_true_ones() -> None:
-    true = exact_depth() < exact_depth(()) - 1e-4
+    true = (exact_depth() < exact_depth(()) - 1e-4).astype(np.uint8)
     depth = sense("d415", View(CAMERA, EYE, exact_depth()), np.random.default_rng(3)).depth
     by_height, by_networks = (
-        scene_of(depth, wanted(networks=with_them)).image.labels > 0 for with_them in (False, True)
+        mean_iou((scene_of(depth, wanted(networks=with_them)).image.labels > 0).astype(np.uint8), true)
+        for with_them in (False, True)
     )
-    assert iou(by_networks, true) > iou(by_height, true) + 0.02
+    assert by_networks > by_height + 0.02
 
 
 def test_a_part_that_a_gap_without_returns_cuts_is_one() -> None:

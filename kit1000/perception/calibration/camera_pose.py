@@ -18,7 +18,7 @@ from kit1000.camera import Camera
 from kit1000.errors import checked
 from kit1000.numerics.elimination import solve_positive
 from kit1000.numerics.linear_algebra import matmul
-from kit1000.perception.calibration.depth_scale import stated_scale
+from kit1000.perception.calibration.depth_scale import in_true_lengths, stated_scale
 from kit1000.perception.calibration.table import (
     BENT,
     HALF_SIZES,
@@ -236,10 +236,8 @@ def camera_estimate_by(view: View, labels: np.ndarray, sensor: SensorFacts) -> C
 
 def at_stated_scale(view: View, sensor: SensorFacts) -> View:
     """A view of an own camera, whose height over the table was measured, in the scale that its stated height tells."""
-    x, y, z = view.world_from_camera.xyz
-    scale = stated_scale(sensor, float(z)).value
-    pose = Pose(view.world_from_camera.wxyz, np.array([x, y, z / scale]))
-    return View(view.camera, pose, view.depth / np.float32(scale))
+    scale = stated_scale(sensor, float(view.world_from_camera.xyz[2])).value
+    return View(view.camera, in_true_lengths(view.world_from_camera, scale), view.depth / np.float32(scale))
 
 
 def camera_estimate(

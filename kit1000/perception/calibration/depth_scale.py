@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
 from kit1000.perception.sensor_facts import SensorFacts
+from kit1000.pose import Pose
 
 SCALE_SPREAD = 1.7e-3  # of the depth scale of a stereo camera: uniform within 0.3 %
 STATED_SPREAD = 0.9e-3  # [m] of a stated height: along one axis, if hand-eye positions are off by 1.5 mm
@@ -29,3 +32,9 @@ def stated_scale(sensor: SensorFacts, height: float) -> DepthScale:
         return DepthScale()
     before, stated = SCALE_SPREAD**-2, (STATED_SPREAD / height) ** -2
     return DepthScale(1 + (ratio - 1) * stated / (before + stated), (before + stated) ** -0.5)
+
+
+def in_true_lengths(world_from_camera: Pose, scale: float) -> Pose:
+    """The pose of an own camera, whose height over the table was measured, by a scale (measured over true depth)."""
+    x, y, z = world_from_camera.xyz
+    return Pose(world_from_camera.wxyz, np.array([x, y, z / scale]))

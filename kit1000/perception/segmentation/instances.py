@@ -54,14 +54,14 @@ def find_bodies(view: View, sensor: SensorFacts, restorer: Restorer | None = Non
     """
     kind = sensor.kind
     if kind.exact:
-        points, height = _points_and_heights(view)
+        points, height = points_and_heights(view)
         return _halves(view, points, height > kind.segmentation.least_height, kind, view)
     above = (view.depth > 0) & (world_points(view)[..., 2] > RECORDED_HEIGHT)
     measured = calibrated_by(view, above.astype(np.uint8), sensor)
     if restorer is not None and kind.denoised is not None:
         return _restored_bodies(restorer.without_masks(measured, sensor), kind.denoised, measured)
     closed = without_shadows(measured)
-    points, height = _points_and_heights(closed)
+    points, height = points_and_heights(closed)
     body = _high_regions(height, kind.segmentation.least_height)
     if kind.restores:
         body = np.asarray(uniform_filter(body.astype(float), WINDOW)) > SHARE
@@ -70,7 +70,7 @@ def find_bodies(view: View, sensor: SensorFacts, restorer: Restorer | None = Non
 
 def _restored_bodies(view: View, kind: ImageKind, measured: View) -> Bodies:
     """The bodies in a view that a network restored."""
-    points, height = _points_and_heights(view)
+    points, height = points_and_heights(view)
     body, far_half = _restored_regions(height, measured.depth > 0, kind.segmentation.least_height), on_far_half(points)
     return Bodies(view, points, _largest_regions(body & far_half), body & ~far_half, kind, measured)
 
@@ -81,7 +81,7 @@ def _halves(view: View, points: np.ndarray, body: np.ndarray, kind: ImageKind, m
     return Bodies(view, points, body & far_half, body & ~far_half, kind, measured)
 
 
-def _points_and_heights(view: View) -> tuple[np.ndarray, np.ndarray]:
+def points_and_heights(view: View) -> tuple[np.ndarray, np.ndarray]:
     """(H, W, 3) [m] see `world_points`; (H, W) [m] heights above the table, 0 without a return."""
     points = world_points(view)
     return points, np.where(view.depth > 0, points[..., 2], 0.0)
