@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import NamedTuple
 
 import numpy as np
@@ -21,9 +21,8 @@ from kit1000.known_shapes.support import Support
 from kit1000.numerics.compiled import compiled
 from kit1000.numerics.elimination import solve_positive
 from kit1000.perception.sensor_facts import D415, SensorFacts
-from kit1000.pose import Pose
 from kit1000.sim.depth_edges import blended_ramps, widened_edges
-from kit1000.sim.render import render
+from kit1000.sim.render import inverse_depths
 from kit1000.values import LabelledDepth
 
 AMOUNTS = ((1 / 8, 3.0), (3 / 8, 6.0), (5 / 8, 3.0), (7 / 8, 6.0))
@@ -141,9 +140,8 @@ class DisparityImage:
         """(h, w) [px] exact disparities of shapes in a window; 0 where none is."""
         camera, (height, width) = self.camera, (box.bottom - box.top, box.right - box.left)
         window = Camera(width, height, camera.fx, camera.fy, camera.cx - box.left, camera.cy - box.top)
-        bodies = [(each.shape.mesh, each.camera_from_body(scale)) for each in shapes]
-        depth = scale * render(window, Pose.identity(), bodies, threads=1).depth.astype(float)
-        return np.divide(self.gain, depth, out=np.zeros_like(depth), where=depth > 0)
+        bodies = (inverse_depths(window, each.shape.mesh, each.camera_from_body(scale)) for each in shapes)
+        return self.gain / scale * reduce(np.maximum, bodies)
 
     def expected(self, exact: np.ndarray, blur: int = SHARP) -> tuple[np.ndarray, np.ndarray]:
         """The mean and variance (h, w) of what the sensor makes of exact disparities (h, w) at their edges.
@@ -153,15 +151,12 @@ class DisparityImage:
         if self.extension == 0:
             mean = uniform_filter(exact, blur)
             return mean, np.maximum(uniform_filter(exact * exact, blur) - mean * mean, 0.0)
-        padded, size = np.pad(exact, 1, mode="edge").astype(np.float32), max(exact.shape) + 2
-        found = []
-        for share, jump in self.amounts:
-            one = [np.full((1, 1), value, np.float32) for value in (share, jump, self.ramp)]
-            wide = widened_edges(padded, one[0], one[1], size, self.extension)
-            found.append(blended_ramps(wide, one[1], one[2], size)[1:-1, 1:-1])
-        several = np.stack(found)
-        mean = several.mean(0)
-        return mean, np.square(several - mean).mean(0)
+        bordered = np.empty((exact.shape[0] + 2, exact.shape[1] + 2), np.float32)
+        bordered[1:-1, 1:-1] = exact
+        bordered[0], bordered[-1] = bordered[1], bordered[-2]
+        bordered[:, 0], bordered[:, -1] = bordered[:, 1], bordered[:, -2]
+        amounts = np.array(self.amounts, np.float32)
+        return expected_edges(bordered, amounts[:, :1, None], amounts[:, 1:, None], self.extension, self.ramp)
 
 
 class Explained(NamedTuple):
@@ -196,6 +191,14 @@ class Window:
         """(h, w) [px]; 0 for no return."""
         return self.image.measured[self.box.window]
 
+    def cropped(self, box: Box) -> Window:
+        """The window with fewer pixels. box: all in this one."""
+        rows = slice(box.top - self.box.top, box.bottom - self.box.top)
+        columns = slice(box.left - self.box.left, box.right - self.box.left)
+        found = Window(self.image, box, self.rest[rows, columns], self.scale)
+        vars(found)["_without"] = tuple(each[rows, columns] for each in self._without)  # computed once for all of them
+        return found
+
     def exact(self, shape: StandingShape) -> tuple[np.ndarray, np.ndarray]:
         """(h, w) [px] exact disparities with a shape, and (h, w) bool: where it is seen."""
         near = self.image.rendered([shape], self.box, self.scale)
@@ -229,6 +232,33 @@ class Window:
 
 
 @compiled
+def expected_edges(exact, shares, jumps, extension, ramp):
+    """The mean and variance (h, w) of what a stereo camera makes of exact disparities at their edges.
+
+    Args:
+        exact: (h + 2, w + 2) float32 [px] with a border.
+        shares: (k, 1, 1) float32 of what it may do, the share of the largest extension.
+        jumps: (k, 1, 1) float32 [px] up to which it then blends.
+        extension: [px] the largest.
+        ramp: [px] half the width of a ramp.
+    """
+    rows, columns = exact.shape
+    mean, variance = np.zeros((rows - 2, columns - 2)), np.zeros((rows - 2, columns - 2))
+    half, size = np.full((1, 1), np.float32(ramp)), max(rows, columns)
+    for k in range(len(shares)):
+        found = blended_ramps(widened_edges(exact, shares[k], jumps[k], size, extension), jumps[k], half, size)
+        for v in range(rows - 2):
+            for u in range(columns - 2):
+                value = np.float64(found[v + 1, u + 1])
+                mean[v, u] += value / len(shares)
+                variance[v, u] += value * value / len(shares)
+    for v in range(rows - 2):
+        for u in range(columns - 2):
+            variance[v, u] = max(variance[v, u] - mean[v, u] ** 2, 0.0)
+    return mean, variance
+
+
+@compiled
 def unexplained(residual, total, compared, certainty):
     """The number of pixels that are not explained, after a slow error (a constant and two slopes) is taken away.
 
@@ -239,9 +269,9 @@ def unexplained(residual, total, compared, certainty):
         certainty: [1/px^2] of a slow error of 0, in units of the weight of one pixel.
     """
     rows, columns = residual.shape
-    slow, left = np.zeros(3), 0.0
-    for last in range(SLOW_ROUNDS + 1):
-        left, g, gx, gy = 0.0, 0.0, 0.0, 0.0
+    slow = np.zeros(3)
+    for _ in range(SLOW_ROUNDS):
+        g, gx, gy = 0.0, 0.0, 0.0
         w, wx, wy, wxx, wxy, wyy = certainty, 0.0, 0.0, certainty, 0.0, certainty
         a, b, c = slow
         for v in range(rows):
@@ -250,14 +280,19 @@ def unexplained(residual, total, compared, certainty):
                 if compared[v, u]:
                     x, r, limit = 2 * u / columns - 1, residual[v, u], total[v, u] * REACH**2
                     share = min((r - a - b * x - c * y) ** 2 / limit, 1.0)
-                    left += share
                     weight = (1 - share) ** 2 / limit  # Tukey's, see `tukey_weights`
                     w, wx, wy = w + weight, wx + weight * x, wy + weight * y
                     wxx, wxy, wyy = wxx + weight * x * x, wxy + weight * x * y, wyy + weight * y * y
                     g, gx, gy = g + weight * r, gx + weight * r * x, gy + weight * r * y
-        if last < SLOW_ROUNDS:
-            slow = solve_positive(np.array(((w, wx, wy), (wx, wxx, wxy), (wy, wxy, wyy))), np.array((g, gx, gy)))
-    return left + certainty * (slow * slow).sum()
+        slow = solve_positive(np.array(((w, wx, wy), (wx, wxx, wxy), (wy, wxy, wyy))), np.array((g, gx, gy)))
+    left = certainty * (slow * slow).sum()
+    a, b, c = slow
+    for v in range(rows):
+        for u in range(columns):
+            if compared[v, u]:
+                off = residual[v, u] - a - b * (2 * u / columns - 1) - c * (2 * v / rows - 1)
+                left += min(off**2 / (total[v, u] * REACH**2), 1.0)
+    return left
 
 
 def slow_errors(compared: np.ndarray) -> np.ndarray:

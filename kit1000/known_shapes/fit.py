@@ -57,7 +57,8 @@ def fit(
     """
     log_scale, covariance = float(np.log(scale)), np.eye(4)
     for reach in reaches:
-        normal, gradient = _equations(image, shape, others, np.exp(log_scale), reach, used, free_scale)
+        window = image.window(shape, others, np.exp(log_scale))
+        normal, gradient = _equations(window, shape, others, reach, used, free_scale)
         normal += RIDGE * np.diag(np.diag(normal)) + 1e-9 * np.eye(len(normal))
         step = np.linalg.solve(normal, gradient)
         covariance = np.linalg.inv(normal)[:4, :4]
@@ -65,7 +66,7 @@ def fit(
         if free_scale:
             log_scale += float(np.clip(step[3], -3e-3, 3e-3))
         strides = (1,) if free_scale or reach > FINE[0] else STRIDES
-        shape = _best_stride(image.window(shape, others, scale), shape, [stride * move for stride in strides], used)
+        shape = _best_stride(window, shape, [stride * move for stride in strides], used)
         if (np.abs(move) < LEAST_STEP).all():
             break
     return Fit(shape, log_scale if free_scale else 0.0, covariance)
@@ -80,16 +81,15 @@ def _best_stride(
 
 
 def _equations(
-    image: DisparityImage,
+    window: Window,
     shape: StandingShape,
     others: Sequence[StandingShape],
-    scale: float,
     reach: float,
     used: np.ndarray | None,
     free_scale: bool,
 ) -> tuple[np.ndarray, np.ndarray]:
     """The normal matrix (7, 7) and gradient (7,): place, yaw, log scale, then offset and slopes of the slow error."""
-    window, blur = image.window(shape, others, scale), SHARP if reach <= FINE[0] else FAR
+    image, blur = window.image, SHARP if reach <= FINE[0] else FAR
 
     def expected(moved: StandingShape, by: Window = window) -> np.ndarray:
         return image.expected(by.exact(moved)[0], blur)[0]
@@ -103,7 +103,7 @@ def _equations(
     slopes = [(a - b) / (step if far else 2 * step) for a, b, step in zip(more, less, steps, strict=True)]
     by, wider = STEP / shape.radius, None
     if free_scale:
-        farther, nearer = (image.window(shape, others, scale * (1 + sign * by)) for sign in (1, -1))
+        farther, nearer = (image.window(shape, others, window.scale * (1 + sign * by)) for sign in (1, -1))
         wider = (expected(shape, farther) - expected(shape, nearer)) / (2 * by)
     kept = window.compared(inside, used)
     slow = slow_errors(kept)

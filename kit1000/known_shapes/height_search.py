@@ -21,9 +21,9 @@ from scipy.ndimage import binary_dilation, grey_dilation, maximum_filter
 
 from kit1000.camera import Camera
 from kit1000.known_shapes.disparity import DisparityImage
-from kit1000.known_shapes.shapes import KnownShape, StandingShape, apart, table_frame
+from kit1000.known_shapes.shapes import UP, KnownShape, StandingShape, apart, table_frame
 from kit1000.pose import Pose
-from kit1000.sim.render import render
+from kit1000.sim.render import inverse_depths
 
 CELL = 4e-3  # [m]
 FLAT, HIGH, TALLEST = 2.5e-3, 6e-3, 0.25  # [m] heights of the table, of bodies at least and at most
@@ -90,11 +90,13 @@ class HeightGrid:
         count = np.ceil((far + AROUND - corner) / CELL).astype(int).clip(1, MOST_CELLS)
         cells = np.floor((points[:, :2] - corner) / CELL).astype(int)
         inside = ((cells >= 0) & (cells < count)).all(1)
-        order = np.flatnonzero(inside)[np.argsort(points[inside, 2], kind="stable")]  # the highest is written last
-        rows, columns = cells[order].T
-        heights, masks, seen = np.zeros(count), np.zeros(count, int), np.zeros(count, bool)
-        heights[rows, columns], masks[rows, columns], seen[rows, columns] = points[order, 2], found[order], True
-        return HeightGrid(corner, np.where(heights < FLAT, 0.0, heights), seen, masks, table)
+        points, found = points[inside], found[inside]
+        flat = cells[inside] @ np.array([count[1], 1])  # row by row
+        heights, masks = np.full(count, -np.inf), np.zeros(count, int)
+        np.maximum.at(heights.ravel(), flat, points[:, 2])
+        highest = points[:, 2] == heights.ravel()[flat]
+        masks.ravel()[flat[highest]] = found[highest]
+        return HeightGrid(corner, np.where(heights < FLAT, 0.0, heights), np.isfinite(heights), masks, table)
 
     def without(self, shapes: Sequence[StandingShape]) -> HeightGrid:
         """The grid in which the cells of some shapes are not seen."""
@@ -147,14 +149,13 @@ class HeightGrid:
         found = []
         for k, (_, yaws, heights) in enumerate(views):
             scores = self._scores(heights)
-            scores[scores < maximum_filter(scores, (1, 5, 5))] = 0
-            for yaw, each in zip(yaws, scores, strict=True):
-                cells = np.argpartition(each, -min(a_view, each.size), axis=None)[-a_view:]
-                row, column = np.unravel_index(cells, each.shape)
-                xy = self.corner + CELL * (np.stack([row, column], -1) + 0.5)
-                found.append(np.column_stack([each[row, column], np.full(len(cells), k), xy, np.full(len(cells), yaw)]))
+            yaw, row, column = np.nonzero((scores > 0) & (scores == maximum_filter(scores, (1, 5, 5))))
+            score = scores[yaw, row, column]
+            order = np.lexsort((-score, yaw))
+            kept = order[np.arange(len(order)) - np.searchsorted(yaw, yaw) < a_view]  # nonzero gives yaws in order
+            xy = self.corner + CELL * (np.stack([row, column], -1)[kept] + 0.5)
+            found.append(np.column_stack([score[kept], np.full(len(kept), k), xy, yaws[yaw[kept]]]))
         every = np.concatenate(found)
-        every = every[every[:, 0] > 0]
         best = _limited(every[np.argsort(-every[:, 0], kind="stable")], most, a_spot)
         return [Place(row[0], StandingShape(shape, views[int(row[1])].level, row[2:], self.table)) for row in best]
 
@@ -222,6 +223,7 @@ def _from_above(shape: KnownShape, level: Pose, yaws: np.ndarray) -> np.ndarray:
     camera = Camera(side, side, focal, focal, (side - 1) / 2, (side - 1) / 2)
     down = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # rows along x, columns along y
     eye = Pose.from_rotation_matrix(down, np.array([0.0, 0.0, FAR_CAMERA]))
-    poses = (Pose.from_rotvec((0.0, 0.0, yaw)) @ level for yaw in yaws)
-    depth = np.stack([render(camera, eye, [(shape.mesh, pose)], threads=1).depth for pose in poses])
-    return np.where(depth > 0, np.float32(FAR_CAMERA) - depth, np.float32(0))
+    rotated = Pose.from_rotvec(yaws[:, None] * UP) @ level
+    inverse = np.stack([inverse_depths(camera, shape.mesh, pose) for pose in eye.inverse() @ rotated])
+    depth = np.divide(1.0, inverse, out=np.full(inverse.shape, FAR_CAMERA), where=inverse > 0)
+    return (FAR_CAMERA - depth).astype(np.float32)

@@ -144,7 +144,7 @@ class SceneSearch:
             if window is None:
                 window = self.small.window(standing, neighbours(standing, others, GAP), room=ROOM)
                 windows.append(window)
-            return Place(window.explained(standing, used).gain, standing)
+            return Place(window.cropped(box).explained(standing, used).gain, standing)
 
         def refined(standing: StandingShape) -> StandingShape:
             return fit(self.small, standing, neighbours(standing, others, GAP), reaches=COARSE, used=used).shape

@@ -77,49 +77,50 @@ def blended_ramps(d, edge, half, factor):
     rows, columns = d.shape
     widest = int(np.ceil(half.max()))
     between, out = d.copy(), d.copy()
-    edges, halves = np.zeros(columns, np.float32), np.zeros(columns, np.float32)
+    edges, shares = np.zeros(columns, np.float32), np.zeros((widest, columns), np.float32)
     total, count = np.empty(columns, np.float32), np.empty(columns, np.float32)
     for v in range(1, rows - 1):
-        _enlarge_row(edge[(v - 1) // factor], factor, edges)
-        _enlarge_row(half[(v - 1) // factor], factor, halves)
+        if (v - 1) % factor == 0:
+            _enlarge_rows(edge[(v - 1) // factor], half[(v - 1) // factor], factor, edges, shares)
         total[:], count[:] = 0, 1
         for y in range(1, min(widest, v, rows - 1 - v) + 1):
-            _add_pairs(d[v], d[v - y], d[v + y], edges, halves, np.float32(y), total, count)
-        between[v] += total / count
+            _add_pairs(d[v], d[v - y], d[v + y], edges, shares[y - 1], total, count)
+        for u in range(columns):
+            between[v, u] += total[u] / count[u]
     for v in range(1, rows - 1):
-        _enlarge_row(edge[(v - 1) // factor], factor, edges)
-        _enlarge_row(half[(v - 1) // factor], factor, halves)
+        if (v - 1) % factor == 0:
+            _enlarge_rows(edge[(v - 1) // factor], half[(v - 1) // factor], factor, edges, shares)
         total[:], count[:] = 0, 1
         row = between[v]
         for x in range(1, widest + 1):
             end = columns - x
             before, after = row[: end - x], row[2 * x :]
-            _add_pairs(
-                row[x:end], before, after, edges[x:end], halves[x:end], np.float32(x), total[x:end], count[x:end]
-            )
-        out[v] = row + total / count
+            _add_pairs(row[x:end], before, after, edges[x:end], shares[x - 1, x:end], total[x:end], count[x:end])
+        for u in range(columns):
+            out[v, u] = row[u] + total[u] / count[u]
     return out
 
 
 @compiled
-def _enlarge_row(values, factor, out):
-    """Write each value of a coarse row to its `factor` columns of a row with a border."""
-    for x in range(len(values)):
-        for k in range(factor):
-            u = 1 + x * factor + k
-            if u < len(out) - 1:
-                out[u] = values[x]
+def _enlarge_rows(edge, half, factor, edges, shares):
+    """Write each value of two coarse rows to its `factor` columns of rows with a border: the edges, and the share of a
+    pixel 1, 2, ... px away that counts.
+    """
+    for x in range(len(edge)):
+        for u in range(1 + x * factor, min(1 + (x + 1) * factor, len(edges) - 1)):
+            edges[u] = edge[x]
+            for away in range(1, len(shares) + 1):
+                shares[away - 1, u] = min(max(half[x] - np.float32(away) + np.float32(1), np.float32(0)), np.float32(1))
 
 
 @compiled
-def _add_pairs(here, before, after, edges, halves, away, total, count):
-    """Add up the differences of opposite neighbours, `away` px off, if both are small, and count them."""
-    for u in range(len(here)):
+def _add_pairs(here, before, after, edges, shares, total, count):
+    """Add up the differences of opposite neighbours, each by its share, if both are small, and count them."""
+    for u in range(len(here)):  # a loop without branches, which the processor does for several pixels at once
         a, b = before[u] - here[u], after[u] - here[u]
-        share = min(max(halves[u] - away + np.float32(1), np.float32(0)), np.float32(1))
-        near = (abs(a) <= edges[u]) & (abs(b) <= edges[u])
-        total[u] += share * (a + b) if near else np.float32(0)
-        count[u] += share * np.float32(2) if near else np.float32(0)
+        share = shares[u] if (abs(a) <= edges[u]) & (abs(b) <= edges[u]) else np.float32(0)
+        total[u] += share * (a + b)
+        count[u] += share + share
 
 
 @compiled

@@ -91,6 +91,16 @@ def render(
     return RenderedImage(depth, ids, faces)
 
 
+def inverse_depths(camera: Camera, mesh: Mesh, camera_from_body: Pose) -> np.ndarray:
+    """(H, W) float64 [1/m] inverse depths of one body alone, 0 where it is not: `render` without faces and threads."""
+    intrinsics, found = Intrinsics.of(camera), np.zeros((camera.height, camera.width))
+    body, faces = _project_body(intrinsics, mesh, camera_from_body, 0), np.empty(found.shape, np.int32)
+    for start in range(0, len(mesh.faces), CHUNK_FACES):
+        for batch, count in _triangle_batches(intrinsics, body, start):
+            raster.fill_band(0, batch, count, found, faces)
+    return found
+
+
 def _project_body(intrinsics: Intrinsics, mesh: Mesh, camera_from_body: Pose, first: int) -> _ProjectedBody:
     n = len(mesh.vertices)
     points, uv, state = np.empty((n, 3)), np.empty((n, 2), np.int32), np.empty(n, np.uint8)

@@ -74,6 +74,17 @@ def test_the_true_pose_explains_the_image_and_others_do_not() -> None:
     assert image.window(away).explained(away).gain < 0
 
 
+def test_a_cropped_window_explains_what_a_fresh_one_does() -> None:
+    scene = sample_scene()
+    image = disparities(scene, STEREO)
+    kits = standing_kits(scene, image)
+    fresh = image.window(kits)
+    cropped = image.window(kits, room=9).cropped(fresh.box)
+    assert cropped.box == fresh.box
+    assert np.array_equal(cropped.rest, fresh.rest)
+    assert cropped.explained(kits) == pytest.approx(fresh.explained(kits), rel=1e-3)
+
+
 def test_half_an_image_has_the_same_disparities() -> None:
     image = disparities(sample_scene(), SHARP)
     half = image.halved

@@ -25,7 +25,7 @@ from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.pose import Pose, quaternion_from_rotvec, random_quaternions
 from kit1000.sim.cameras import CAMERA, draw_primary_pose
 from kit1000.sim.raster import NEAR_PLANE
-from kit1000.sim.render import RenderedImage, render
+from kit1000.sim.render import RenderedImage, inverse_depths, render
 from tests.samples.kits import QUICK, sample_kit, sample_part
 from tests.samples.shapes import box as drawn_box
 
@@ -177,6 +177,16 @@ def test_the_number_of_threads_changes_no_bit(threads: int):
     ball = sphere(0.3, 6)  # 81920 faces: several chunks
     bodies = [*scene(np.random.default_rng(5), 0.5), (ball, Pose.from_translation((0, 0, 1)))]
     assert_same(render(VGA, IDENTITY, bodies, threads=1), render(VGA, IDENTITY, bodies, threads=threads))
+
+
+@given(seed=st.integers(0, 2**32 - 1), distance=st.floats(0.05, 0.4))
+@settings(max_examples=20, deadline=None)
+def test_inverse_depths_are_those_of_the_render(seed: int, distance: float):
+    pose = Pose(random_quaternions(np.random.default_rng(seed), 1)[0], np.array([0.0, 0.0, distance]))
+    body = box(0.1, 0.2, 0.3)  # part of it may be behind the camera
+    depth, inverse = render(SMALL, IDENTITY, [(body, pose)]).depth, inverse_depths(SMALL, body, pose)
+    assert np.array_equal(inverse > 0, depth > 0)
+    assert np.array_equal((1 / inverse[inverse > 0]).astype(np.float32), depth[depth > 0])
 
 
 def test_faces_without_area_and_faces_edge_on_are_harmless():
