@@ -36,8 +36,8 @@ from kit1000.values import FIRST_PART_LABEL, LabelledDepth, Query, SceneShapes, 
 KEPT = 8  # scenes of images
 MOST_LEAD = 50.0  # [px] of a pose over its rivals, beyond which none is taken for it
 # Log odds that a motion is seated: constant, and weights of what part and kits leave unexplained, of the lead that the
-# part's pose lacks, as a share, and of what the depth scale leaves open [mm]. Fitted to 222 motions of val.
-ODDS = (4.6, -44.0, -1.9, -2.0)
+# part's pose lacks, as a share, and of what the depth scale leaves open of the motion [mm]. Fitted to motions of val.
+ODDS = (4.6, -44.0, -1.9, -1.5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,21 +131,27 @@ class KnownShapeRegistration:
 
         The first is as sure as the poses, others of registration less by what tells them apart.
         """
-        scene, name = part.placed.scene, part.body.name
-        kits = scene.bodies[0]
-        world_from_kits, sure = part.placed.world_from(kits), _confidence(scene, kits, part.body)
+        name, camera = part.body.name, part.placed.world_from_camera
+        world_from_kits = part.placed.world_from(part.placed.scene.bodies[0])
+
+        def sure(goal_from_now: Pose) -> float:
+            return motion_confidence(part.placed.scene, part.body, camera.inverse() @ goal_from_now @ camera)
+
         if name in shapes.goals:
             motions = world_from_kits @ shapes.goals[name] @ part.world_from_part.inverse()
             start = Pose.identity() if query.guess is None else query.guess
             order = np.argsort(np.atleast_1d((motions @ start.inverse()).angle()), kind="stable")
-            return [PredictedMotion(motions[i], sure) for i in order]
+            return [PredictedMotion(motions[i], sure(motions[i])) for i in order]
         geometry = TrueGeometry(shapes.parts[name], part.world_from_part, shapes.assembly, world_from_kits)
         stated = shapes.clearances.get(name)
         fits = fits_in(TrueScene(query, geometry), (stated,) if stated else stated_clearances(self.dataset))
         odds = [confidence(fit, fits) for fit in fits]
-        shares = [min(each / max(odds[0], 1e-6), 1.0) for each in odds[1:]]
-        confidences = [sure, *(round(sure * share, CONFIDENCE_DECIMALS) for share in shares)]
-        return [PredictedMotion(fit.goal_from_now, each) for fit, each in zip(fits, confidences, strict=False)]
+        shares = [1.0, *(min(each / max(odds[0], 1e-6), 1.0) for each in odds[1:])]
+        motions = (fit.goal_from_now for fit in fits)
+        return [
+            PredictedMotion(motion, round(sure(motion) * share, CONFIDENCE_DECIMALS))
+            for motion, share in zip(motions, shares, strict=False)
+        ]
 
     def _registered(self, query: Query, shapes: SceneShapes) -> PlacedScene:
         """The scene of a query's image; those of the last images are kept, for queries come scene by scene."""
@@ -200,11 +206,20 @@ def _calibrated(image: LabelledDepth, sensor: SensorFacts) -> tuple[LabelledDept
     return calibrated, recorded_support(calibrated), DepthScale(spread=spread)
 
 
-def _confidence(scene: RegisteredScene, kits: RegisteredBody, part: RegisteredBody) -> float:
-    """The share of such motions that are seated."""
-    left = part.agreement.unexplained + kits.agreement.unexplained
+def motion_confidence(scene: RegisteredScene, part: RegisteredBody, motion: Pose) -> float:
+    """The share of such motions that are seated.
+
+    A wrong depth scale moves all that is seen to and from the camera. So it changes a motion in the camera frame by as
+    much as its translation there is long: nothing for a rotation about the camera.
+
+    Args:
+        scene: with the part.
+        part: that moves.
+        motion: goal_from_now in the camera frame, in true lengths.
+    """
+    left = part.agreement.unexplained + scene.bodies[0].agreement.unexplained
     lead = MOST_LEAD if part.agreement.lead is None else part.agreement.lead
     doubt = 1 - min(max(lead, 0.0) / MOST_LEAD, 1.0)
-    open_mm = 1e3 * scene.scale_spread * float(np.linalg.norm(scene.camera_from_body(part).xyz))
+    open_mm = 1e3 * scene.scale_spread * float(np.linalg.norm(motion.xyz))
     odds = sum(weight * value for weight, value in zip(ODDS, (1.0, left, doubt, open_mm), strict=True))
     return round(1 / (1 + math.exp(-odds)), CONFIDENCE_DECIMALS)
