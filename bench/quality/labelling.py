@@ -208,16 +208,19 @@ def _seated(recorded: RecordedScene, index: int, found: RegisteredScene, body: R
     mounts = recorded.split.dataset.geometry.assembly(recorded.scene.bodies[0].id).mounts
     mount = next(mount for mount in mounts if mount.kit.slot.part_id == part_id)
     goal = mount.assembly_from_kit @ mount.kit.slot.kit_from_part
-    world_from_camera, motions = recorded.view("ideal").world_from_camera, []
-    for by in (found.scale, scale):
-        moved = kits.standing.camera_from_body(by) @ goal @ body.standing.camera_from_body(by).inverse()
-        motions.append(world_from_camera @ moved @ world_from_camera.inverse())
-    truth = recorded.truth_of(query.id)
-    both = seatings(Pose.stack(motions), [truth, truth], recorded.split.dataset.geometry).seated
+    world_from_camera, truth = recorded.view("ideal").world_from_camera, recorded.truth_of(query.id)
+    motions = Pose.stack(
+        [
+            kits.standing.camera_from_body(by) @ goal @ body.standing.camera_from_body(by).inverse()
+            for by in (found.scale, scale)
+        ]
+    )
+    in_world = world_from_camera @ motions @ world_from_camera.inverse()
+    both = seatings(in_world, [truth, truth], recorded.split.dataset.geometry).seated
     return {
         "seated": bool(both[0]),
         "seated_true_scale": bool(both[1]),
-        "sure_motion": not (found.doubts(body) or found.doubts(kits)),
+        "sure_motion": not found.motion_doubts(body, motions[0]),
     }
 
 

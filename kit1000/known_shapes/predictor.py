@@ -122,7 +122,7 @@ class KnownShapeRegistration:
                 parts[part] = body
         unmasked = [body for body in found.parts if body not in parts.values()]
         parts |= dict(enumerate(unmasked, int(queries[0].image.labels.max()) - FIRST_PART_LABEL + 1))
-        shown = {part: _shown(found, body) for part, body in parts.items()}
+        shown = {part: _shown(found, body, shapes.goals.get(body.name)) for part, body in parts.items()}
         missing = shapes.parts.keys() - {body.name for body in found.parts}
         return FoundShapes(_shown(found, found.scene.bodies[0]), shown, tuple(sorted(missing)))
 
@@ -140,8 +140,7 @@ class KnownShapeRegistration:
         if name in shapes.goals:
             motions = world_from_kits @ shapes.goals[name] @ part.world_from_part.inverse()
             start = Pose.identity() if query.guess is None else query.guess
-            order = np.argsort(np.atleast_1d((motions @ start.inverse()).angle()), kind="stable")
-            return [PredictedMotion(motions[i], sure(motions[i])) for i in order]
+            return [PredictedMotion(motion, sure(motion)) for motion in _least_rotated(motions, start)]
         geometry = TrueGeometry(shapes.parts[name], part.world_from_part, shapes.assembly, world_from_kits)
         stated = shapes.clearances.get(name)
         fits = fits_in(TrueScene(query, geometry), (stated,) if stated else stated_clearances(self.dataset))
@@ -178,10 +177,21 @@ class KnownShapeRegistration:
         return PlacedScene(scene, world_from_camera)
 
 
-def _shown(placed: PlacedScene, body: RegisteredBody) -> FoundShape:
-    """A body for a person to look at."""
-    mesh = body.standing.shape.mesh.moved(placed.world_from(body))
-    return FoundShape(body.name, mesh, tuple(placed.scene.doubts(body)))
+def _shown(placed: PlacedScene, body: RegisteredBody, goals: Pose | None = None) -> FoundShape:
+    """A body for a person to look at. goals: of a part in the kits; what is in doubt is then the motion."""
+    scene, mesh = placed.scene, body.standing.shape.mesh.moved(placed.world_from(body))
+    kits = scene.bodies[0]
+    if body is kits:
+        return FoundShape(body.name, mesh, scene.faults(body))
+    if goals is None:
+        return FoundShape(body.name, mesh, scene.doubts(body))
+    motions = scene.camera_from_body(kits) @ goals @ scene.camera_from_body(body).inverse()
+    return FoundShape(body.name, mesh, scene.motion_doubts(body, _least_rotated(motions, Pose.identity())[0]))
+
+
+def _least_rotated(motions: Pose, start: Pose) -> Pose:
+    """Motions (k,) of a part to its goals, in the order of their angle to a first guess."""
+    return motions[np.argsort(np.atleast_1d((motions @ start.inverse()).angle()), kind="stable")]
 
 
 def _given(query: Query, shapes: SceneShapes | None) -> SceneShapes:
@@ -207,19 +217,10 @@ def _calibrated(image: LabelledDepth, sensor: SensorFacts) -> tuple[LabelledDept
 
 
 def motion_confidence(scene: RegisteredScene, part: RegisteredBody, motion: Pose) -> float:
-    """The share of such motions that are seated.
-
-    A wrong depth scale moves all that is seen to and from the camera. So it changes a motion in the camera frame by as
-    much as its translation there is long: nothing for a rotation about the camera.
-
-    Args:
-        scene: with the part.
-        part: that moves.
-        motion: goal_from_now in the camera frame, in true lengths.
-    """
+    """The share of such motions that are seated. motion: goal_from_now in the camera frame, in true lengths."""
     left = part.agreement.unexplained + scene.bodies[0].agreement.unexplained
     lead = MOST_LEAD if part.agreement.lead is None else part.agreement.lead
     doubt = 1 - min(max(lead, 0.0) / MOST_LEAD, 1.0)
-    open_mm = 1e3 * scene.scale_spread * float(np.linalg.norm(motion.xyz))
-    odds = sum(weight * value for weight, value in zip(ODDS, (1.0, left, doubt, open_mm), strict=True))
+    facts = (1.0, left, doubt, 1e3 * scene.left_open(motion))
+    odds = sum(weight * value for weight, value in zip(ODDS, facts, strict=True))
     return round(1 / (1 + math.exp(-odds)), CONFIDENCE_DECIMALS)

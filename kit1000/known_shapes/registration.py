@@ -25,7 +25,7 @@ EDGE_CORRELATION = 25.0  # by which edges that vary slowly make the scale less c
 SCALE_SPREAD_A_PX = 0.4e-3  # of the scale by one shape, for each pixel by which edges extend: 2.3e-3 for a D415 (val)
 LEAST_SCALE_SPREAD = 1e-4
 GOOD, CLEAR_LEAD = 0.03, 50.0  # unexplained share and lead of a certain pose: of 100 such poses of val 94 are right
-MOST_SPREAD = 1.25e-3  # [m] of a body along the line of sight
+MOST_SPREAD = 1.25e-3  # [m] of a certain pose or motion, by the depth scale
 SAME_POSE = 3e-3  # [m] by which the surfaces of two poses differ that count as one
 
 
@@ -84,15 +84,36 @@ class RegisteredScene:
 
     def doubts(self, body: RegisteredBody) -> tuple[str, ...]:
         """Why the image alone does not settle the pose of a body; a person confirms it in any case."""
+        return *self.faults(body), *self._left_open(self.camera_from_body(body))
+
+    def motion_doubts(self, part: RegisteredBody, motion: Pose) -> tuple[str, ...]:
+        """Why a motion of a part may not seat it. motion: goal_from_now in the camera frame, in true lengths.
+
+        What moves kits and part alike, such as a part of a wrong depth scale, does not count.
+        """
+        kits = (f"kits: {fault}" for fault in self.faults(self.bodies[0]))
+        return *self.faults(part), *kits, *self._left_open(motion)
+
+    def faults(self, body: RegisteredBody) -> tuple[str, ...]:
+        """Why the pose of a body may be wrong, apart from the depth scale that is left open."""
         found = list(body.agreement.faults)
         if body.label == 0:
             found.append("no mask shows it alone")
         if abs(self.scale - 1) > MOST_SCALE:
             found.append(f"the depth scale would be {(self.scale - 1) * 1e2:+.1f} %: wrong shapes, or wrong intrinsics")
-        spread = self.scale_spread * float(np.linalg.norm(body.standing.camera_from_body().xyz))
-        if spread > MOST_SPREAD:
-            found.append(f"its distance is open: ± {spread * 1e3:.1f} mm along the line of sight")
         return tuple(found)
+
+    def left_open(self, pose: Pose) -> float:
+        """[m] standard deviation of a pose or a motion in the camera frame by the depth scale.
+
+        A wrong scale moves all that is seen to or from the camera: a pose by its own translation, a motion by that of
+        the motion.
+        """
+        return self.scale_spread * float(np.linalg.norm(pose.xyz))
+
+    def _left_open(self, pose: Pose) -> tuple[str, ...]:
+        spread = self.left_open(pose)
+        return (f"the depth scale leaves it open by ± {spread * 1e3:.1f} mm",) if spread > MOST_SPREAD else ()
 
 
 def register_scene(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -120,6 +121,34 @@ def test_sizes_tell_the_depth_scale_of_a_sharp_image(scale: float) -> None:
     result = registered(scene)
     assert result.scale == pytest.approx(scale, abs=3 * result.scale_spread)
     assert abs(result.scale - scale) < abs(1 - scale)
+
+
+def motion_at(result: RegisteredScene, scale: float) -> Pose:
+    """From the first part to the kits in the camera frame, by a depth scale."""
+    kits, part = (body.standing.camera_from_body(scale) for body in result.bodies[:2])
+    return kits @ part.inverse()
+
+
+def test_a_motion_is_left_open_by_what_the_depth_scale_changes() -> None:
+    result = found()
+    part, motion = result.bodies[1], motion_at(result, result.scale)
+    middle = result.camera_from_body(part).apply(part.standing.shape.mesh.centroid)
+    by = 1e-3
+    changed = motion_at(result, result.scale * (1 + by)).apply(middle) - motion.apply(middle)
+    expected = result.scale_spread * np.linalg.norm(changed) / by
+    assert result.left_open(motion) == pytest.approx(expected, rel=0.15)  # bodies keep their own size
+
+
+@pytest.mark.parametrize("wrong", [0, 1])
+def test_a_motion_is_in_doubt_if_kits_or_part_are(wrong: int) -> None:
+    result = found()
+    motion = motion_at(result, result.scale)
+    sharp = replace(result, scale_spread=1e-4)
+    assert not sharp.motion_doubts(result.bodies[1], motion)
+    assert replace(result, scale_spread=1e-2).motion_doubts(result.bodies[1], motion)
+    bodies = [*result.bodies]
+    bodies[wrong] = replace(bodies[wrong], agreement=replace(bodies[wrong].agreement, unexplained=0.5))
+    assert replace(sharp, bodies=tuple(bodies)).motion_doubts(bodies[1], motion)
 
 
 def test_images_without_what_is_needed_are_refused() -> None:
