@@ -180,12 +180,9 @@ class KnownShapeRegistration:
 def _shown(placed: PlacedScene, body: RegisteredBody, goals: Pose | None = None) -> FoundShape:
     """A body for a person to look at. goals: of a part in the kits; what is in doubt is then the motion."""
     scene, mesh = placed.scene, body.standing.shape.mesh.moved(placed.world_from(body))
-    kits = scene.bodies[0]
-    if body is kits:
-        return FoundShape(body.name, mesh, scene.faults(body))
     if goals is None:
         return FoundShape(body.name, mesh, scene.doubts(body))
-    motions = scene.camera_from_body(kits) @ goals @ scene.camera_from_body(body).inverse()
+    motions = scene.camera_from_body(scene.bodies[0]) @ goals @ scene.camera_from_body(body).inverse()
     return FoundShape(body.name, mesh, scene.motion_doubts(body, _least_rotated(motions, Pose.identity())[0]))
 
 

@@ -84,23 +84,22 @@ class RegisteredScene:
 
     def doubts(self, body: RegisteredBody) -> tuple[str, ...]:
         """Why the image alone does not settle the pose of a body; a person confirms it in any case."""
-        return *self.faults(body), *self._left_open(self.camera_from_body(body))
-
-    def motion_doubts(self, part: RegisteredBody, motion: Pose) -> tuple[str, ...]:
-        """Why a motion of a part may not seat it. motion: goal_from_now in the camera frame, in true lengths.
-
-        What moves kits and part alike, such as a part of a wrong depth scale, does not count.
-        """
-        kits = (f"kits: {fault}" for fault in self.faults(self.bodies[0]))
-        return *self.faults(part), *kits, *self._left_open(motion)
-
-    def faults(self, body: RegisteredBody) -> tuple[str, ...]:
-        """Why the pose of a body may be wrong, apart from the depth scale that is left open."""
         found = list(body.agreement.faults)
         if body.label == 0:
             found.append("no mask shows it alone")
         if abs(self.scale - 1) > MOST_SCALE:
             found.append(f"the depth scale would be {(self.scale - 1) * 1e2:+.1f} %: wrong shapes, or wrong intrinsics")
+        spread = self.left_open(body.standing.camera_from_body())
+        if spread > MOST_SPREAD:
+            found.append(f"its distance is open: ± {spread * 1e3:.1f} mm along the line of sight")
+        return tuple(found)
+
+    def motion_doubts(self, part: RegisteredBody, motion: Pose) -> tuple[str, ...]:
+        """Why a motion of a part may not seat it. motion: goal_from_now in the camera frame, in true lengths."""
+        found = [*self.doubts(part), *(f"kits: {doubt}" for doubt in self.doubts(self.bodies[0]))]
+        spread = self.left_open(motion)
+        if spread > MOST_SPREAD:
+            found.append(f"its motion is open: ± {spread * 1e3:.1f} mm by the depth scale")
         return tuple(found)
 
     def left_open(self, pose: Pose) -> float:
@@ -110,10 +109,6 @@ class RegisteredScene:
         the motion.
         """
         return self.scale_spread * float(np.linalg.norm(pose.xyz))
-
-    def _left_open(self, pose: Pose) -> tuple[str, ...]:
-        spread = self.left_open(pose)
-        return (f"the depth scale leaves it open by ± {spread * 1e3:.1f} mm",) if spread > MOST_SPREAD else ()
 
 
 def register_scene(
