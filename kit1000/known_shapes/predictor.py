@@ -146,10 +146,9 @@ class KnownShapeRegistration:
         fits = fits_in(TrueScene(query, geometry), (stated,) if stated else stated_clearances(self.dataset))
         odds = [confidence(fit, fits) for fit in fits]
         shares = [1.0, *(min(each / max(odds[0], 1e-6), 1.0) for each in odds[1:])]
-        motions = (fit.goal_from_now for fit in fits)
         return [
-            PredictedMotion(motion, round(sure(motion) * share, CONFIDENCE_DECIMALS))
-            for motion, share in zip(motions, shares, strict=False)
+            PredictedMotion(fit.goal_from_now, round(sure(fit.goal_from_now) * share, CONFIDENCE_DECIMALS))
+            for fit, share in zip(fits, shares, strict=False)
         ]
 
     def _registered(self, query: Query, shapes: SceneShapes) -> PlacedScene:
