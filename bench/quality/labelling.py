@@ -204,17 +204,12 @@ def _seated(recorded: RecordedScene, index: int, found: RegisteredScene, body: R
     query = next((each for each in recorded.queries if each.part == index), None)
     if query is None:
         return {}
-    part_id, kits = recorded.scene.bodies[1 + index].id, found.bodies[0]
+    part_id = recorded.scene.bodies[1 + index].id
     mounts = recorded.split.dataset.geometry.assembly(recorded.scene.bodies[0].id).mounts
     mount = next(mount for mount in mounts if mount.kit.slot.part_id == part_id)
-    goal = mount.assembly_from_kit @ mount.kit.slot.kit_from_part
+    goals = mount.assembly_from_kit @ mount.kit.slot.goals
     world_from_camera, truth = recorded.view("ideal").world_from_camera, recorded.truth_of(query.id)
-    motions = Pose.stack(
-        [
-            kits.standing.camera_from_body(by) @ goal @ body.standing.camera_from_body(by).inverse()
-            for by in (found.scale, scale)
-        ]
-    )
+    motions = Pose.stack([replace(found, scale=by).surest_motion(body, goals) for by in (found.scale, scale)])
     in_world = world_from_camera @ motions @ world_from_camera.inverse()
     both = seatings(in_world, [truth, truth], recorded.split.dataset.geometry).seated
     return {

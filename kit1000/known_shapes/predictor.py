@@ -36,8 +36,9 @@ from kit1000.values import FIRST_PART_LABEL, LabelledDepth, Query, SceneShapes, 
 KEPT = 8  # scenes of images
 MOST_LEAD = 50.0  # [px] of a pose over its rivals, beyond which none is taken for it
 # Log odds that a motion is seated: constant, and weights of what part and kits leave unexplained, of the lead that the
-# part's pose lacks, as a share, and of what the depth scale leaves open of the motion [mm]. Fitted to motions of val.
-ODDS = (4.6, -44.0, -1.9, -1.5)
+# part's pose lacks, as a share, of what the depth scale leaves open of the motion [mm], and of the distance of the part
+# from the camera [m], with which the noise grows. Fitted to motions of train and val, on tracks and imported.
+ODDS = (9.4, -40.0, -1.4, -0.8, -6.8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,20 +128,27 @@ class KnownShapeRegistration:
         return FoundShapes(_shown(found, found.scene.bodies[0]), shown, tuple(sorted(missing)))
 
     def _insertions(self, query: Query, part: SeenPart, shapes: SceneShapes) -> list[PredictedMotion]:
-        """All insertions of a part: its goals, the least rotation first; or those that registration finds.
+        """All insertions of a part: its goals, the nearest to a guess first; or those that registration finds.
 
-        The first is as sure as the poses, others of registration less by what tells them apart.
+        Goals of a symmetric part are equally right: without a guess, the one that the depth scale leaves least open is
+        first. The first that registration finds is as sure as the poses, others less by what tells them apart.
         """
-        name, camera = part.body.name, part.placed.world_from_camera
-        world_from_kits = part.placed.world_from(part.placed.scene.bodies[0])
+        name, scene, camera = part.body.name, part.placed.scene, part.placed.world_from_camera
+        world_from_kits = part.placed.world_from(scene.bodies[0])
+
+        def in_camera(goal_from_now: Pose) -> Pose:
+            return camera.inverse() @ goal_from_now @ camera
 
         def sure(goal_from_now: Pose) -> float:
-            return motion_confidence(part.placed.scene, part.body, camera.inverse() @ goal_from_now @ camera)
+            return motion_confidence(scene, part.body, in_camera(goal_from_now))
 
         if name in shapes.goals:
-            motions = world_from_kits @ shapes.goals[name] @ part.world_from_part.inverse()
-            start = Pose.identity() if query.guess is None else query.guess
-            return [PredictedMotion(motion, sure(motion)) for motion in _least_rotated(motions, start)]
+            motions, guess = list(world_from_kits @ shapes.goals[name] @ part.world_from_part.inverse()), query.guess
+            if guess is None:
+                motions.sort(key=lambda motion: scene.left_open(in_camera(motion)))
+            else:
+                motions.sort(key=lambda motion: float((motion @ guess.inverse()).angle()))
+            return [PredictedMotion(motion, sure(motion)) for motion in motions]
         geometry = TrueGeometry(shapes.parts[name], part.world_from_part, shapes.assembly, world_from_kits)
         stated = shapes.clearances.get(name)
         fits = fits_in(TrueScene(query, geometry), (stated,) if stated else stated_clearances(self.dataset))
@@ -181,13 +189,7 @@ def _shown(placed: PlacedScene, body: RegisteredBody, goals: Pose | None = None)
     scene, mesh = placed.scene, body.standing.shape.mesh.moved(placed.world_from(body))
     if goals is None:
         return FoundShape(body.name, mesh, scene.doubts(body))
-    motions = scene.camera_from_body(scene.bodies[0]) @ goals @ scene.camera_from_body(body).inverse()
-    return FoundShape(body.name, mesh, scene.motion_doubts(body, _least_rotated(motions, Pose.identity())[0]))
-
-
-def _least_rotated(motions: Pose, start: Pose) -> Pose:
-    """Motions (k,) of a part to its goals, in the order of their angle to a first guess."""
-    return motions[np.argsort(np.atleast_1d((motions @ start.inverse()).angle()), kind="stable")]
+    return FoundShape(body.name, mesh, scene.motion_doubts(body, scene.surest_motion(body, goals)))
 
 
 def _given(query: Query, shapes: SceneShapes | None) -> SceneShapes:
@@ -217,6 +219,7 @@ def motion_confidence(scene: RegisteredScene, part: RegisteredBody, motion: Pose
     left = part.agreement.unexplained + scene.bodies[0].agreement.unexplained
     lead = MOST_LEAD if part.agreement.lead is None else part.agreement.lead
     doubt = 1 - min(max(lead, 0.0) / MOST_LEAD, 1.0)
-    facts = (1.0, left, doubt, 1e3 * scene.left_open(motion))
+    far = float(np.linalg.norm(part.standing.camera_from_body().xyz))
+    facts = (1.0, left, doubt, 1e3 * scene.left_open(motion), far)
     odds = sum(weight * value for weight, value in zip(ODDS, facts, strict=True))
     return round(1 / (1 + math.exp(-odds)), CONFIDENCE_DECIMALS)

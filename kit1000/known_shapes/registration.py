@@ -102,6 +102,11 @@ class RegisteredScene:
             found.append(f"its motion is open: ± {spread * 1e3:.1f} mm by the depth scale")
         return tuple(found)
 
+    def surest_motion(self, part: RegisteredBody, goals: Pose) -> Pose:
+        """The motion to one of the goals (k,) kits_from_part, in the camera frame, that the scale leaves least open."""
+        motions = self.camera_from_body(self.bodies[0]) @ goals @ self.camera_from_body(part).inverse()
+        return min(motions, key=self.left_open)
+
     def left_open(self, pose: Pose) -> float:
         """[m] standard deviation of a pose or a motion in the camera frame by the depth scale.
 
