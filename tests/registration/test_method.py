@@ -13,7 +13,7 @@ from baselines.catalog import method_of
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh
-from kit1000.metrics import Targets, pose_errors
+from kit1000.metrics import Targets, pose_errors, seatings
 from kit1000.perception.image_kinds import D415, IDEAL, PHOTONEO
 from kit1000.perception.sensor_facts import simulated_sensor
 from kit1000.pose import Pose
@@ -67,10 +67,12 @@ def check_exact(data: Dataset, queries: QueryTruths) -> None:
     """With true volumes every part reaches its goal."""
     assert queries
     motions = predicted(data, Registration(data, "truth"), queries)
-    distance, angle = errors_of(data, [motion.goal_from_now for motion in motions], queries)
+    goals = [motion.goal_from_now for motion in motions]
+    distance, angle = errors_of(data, goals, queries)
     errors = [f"{q.id}: {d:.2f} mm, {t:.2f} degrees" for (q, _), d, t in zip(queries, distance, angle, strict=True)]
     assert (distance < 1.5).all(), errors
-    assert (angle < 3).all(), errors
+    assert (angle < 5).all(), errors  # the face that the search takes for the lowest may be as oblique to the floor
+    assert seatings(Pose.stack(goals), [truth for _, truth in queries], data.geometry).seated.all(), errors
     assert all(motion.confidence > 0.5 for motion in motions)
 
 
