@@ -216,7 +216,7 @@ def validate(run: _Run) -> Measures:
     """Mean and median of each measure over all validation examples."""
     keys, device = run.task.validation_keys(), run.descent.device
     if not len(keys):
-        raise InputError("expected at least one validation example")
+        raise InputError("split val: too few queries: validation needs one of each track that the network learns")
     measured: dict[str, list[float]] = {}
     for batch in validation_batches(run.task, keys, run.config.batch, _workers(run.config, device), device):
         for name, values in run.task.measure(batch).items():

@@ -10,10 +10,20 @@ import torch
 
 from baselines.__main__ import main
 from baselines.catalog import WEIGHTS, all_networks
+from kit1000.generation.build import generate
+from kit1000.generation.presets import Preset
 from kit1000.perception.networks.weight_files import load_weights
 from kit1000.predictor import resolved
 
 NETWORKS = all_networks()
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset whose splits for training and validation have queries of all tracks."""
+    out = tmp_path_factory.mktemp("trained") / "data"
+    generate(Preset("trained", 2, 2, 1, kits=(2, 2), seed=7), out, workers=1)
+    return out
 
 
 def command(name: str, data: Path, out: Path, steps: int) -> list[str]:
@@ -31,15 +41,15 @@ def test_every_network_has_a_task_and_a_training_for_two_cores(name: str) -> Non
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NETWORKS)
 def test_a_network_is_trained_from_the_command_line_and_resumes(
-    name: str, mini: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    name: str, data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main([*command(name, mini, tmp_path, 2), "--time-limit-s", "0"]) == 0
+    assert main([*command(name, data, tmp_path, 2), "--time-limit-s", "0"]) == 0
     assert "step 1 (time)" in capsys.readouterr().out
-    assert main(command(name, mini, tmp_path, 2)) == 0
+    assert main(command(name, data, tmp_path, 2)) == 0
     assert "step 2 (steps)" in capsys.readouterr().out
     about = json.loads((tmp_path / "best.json").read_text())["about"]
     assert about["name"] == name
-    assert main(command(name, mini, tmp_path, 3)) == 2
+    assert main(command(name, data, tmp_path, 3)) == 2
     assert "holds a run with steps 2, now 3" in capsys.readouterr().err
 
 

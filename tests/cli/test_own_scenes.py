@@ -185,7 +185,7 @@ def test_an_own_scene_is_labelled_confirmed_and_scored(tmp_path: Path, capsys: p
     status = main(["label", str(root), "--shapes", str(tmp_path / "shapes")])
     told = capsys.readouterr().out
     assert status == (0 if all(body.sure for body in read_record(root, SCENE).bodies) else 1)
-    assert "kits: depths " in told
+    assert told.count("; sure\n") == sum(body.sure for body in read_record(root, SCENE).bodies)
     assert f"labels/{SCENE}.png" in told
     assert main(["label", str(root), "--confirm", "all", "--by", "A. Person"]) == 0
     assert "without truth: none" in capsys.readouterr().out
