@@ -16,6 +16,7 @@ from kit1000.kits.seating import (
     InsertedPart,
     SeatingResult,
     contact_offset,
+    is_rotation_seated,
     rotated_about_centroid,
     seating_result,
 )
@@ -165,6 +166,21 @@ def test_a_shift_within_the_clearance_is_seated_and_one_beyond_is_not() -> None:
         beyond = pair("box").result(pair("box").moved(3.6e-3 * way))
         assert not beyond.seated
         assert beyond.contact_offset == pytest.approx(pair("box").depth, abs=5e-6)
+
+
+@pytest.mark.parametrize(
+    ("clearance_mm", "yaw_deg", "tilt_deg", "is_seated"),
+    [
+        (1, 9.9, 0, True), (1, 10.1, 0, False), (1, 0, 9.9, True), (1, 0, 10.1, False),
+        (10, 23.9, 0, True), (10, 24.1, 0, False), (10, 20, 9.9, True), (10, 0, 10.1, False), (10, 20, 10.1, False),
+    ],
+)  # fmt: skip
+def test_wide_slots_let_a_part_rotate_about_its_axis_alone(
+    clearance_mm: float, yaw_deg: float, tilt_deg: float, is_seated: bool
+) -> None:
+    goal = Pose.from_rotvec((0.3, -0.2, 1.0), (0.01, 0.02, 0.03))
+    yaw, tilt = Pose.from_rotvec((0, 0, np.radians(yaw_deg))), Pose.from_rotvec((0, np.radians(tilt_deg), 0))
+    assert is_rotation_seated(tilt @ yaw @ goal, goal, clearance_mm * MM) == is_seated
 
 
 def test_in_a_pit_deeper_than_the_slot_the_part_is_not_seated() -> None:

@@ -207,6 +207,16 @@ def mixed() -> Targets:
     return targets_of(*(truth_of(goals, free, k, part_id=part) for k, (goals, free, part) in enumerate(kinds)))
 
 
+@given(st.lists(st.integers(0, 4), min_size=1, max_size=8), st.integers(0, 2**32 - 1))
+def test_some_queries_have_the_errors_that_they_have_among_all(rows: list[int], seed: int) -> None:
+    targets, rng = mixed(), np.random.default_rng(seed)
+    predicted = Pose(random_quaternions(rng, len(targets)), rng.uniform(-0.4, 0.4, (len(targets), 3)))
+    every = pose_errors(predicted, targets)
+    some = pose_errors(predicted[np.array(rows)], targets[np.array(rows)])
+    assert all(np.array_equal(getattr(some, name), getattr(every, name)[rows]) for name in FIELDS)
+    assert (np.abs(every.angle) <= np.pi).all()
+
+
 def test_no_queries_have_no_errors() -> None:
     errors = pose_errors(Pose.identity((0,)), Targets.of([], corners))
     assert all(getattr(errors, name).shape == (0,) for name in FIELDS)

@@ -91,5 +91,7 @@ def test_anything_but_masks_is_refused() -> None:
             mean_iou(wrong, labels)
     with pytest.raises(ShapeError, match=r"images of one size, got \(4, 5\) and \(4, 6\)"):
         mean_iou(labels[:, 1:], labels)
+    with pytest.raises(ShapeError, match=r"images of one size, got \(3, 6\) and \(4, 6\)"):
+        mean_iou(labels[1:], labels)
     with pytest.raises(InputError, match="true: object 1 has no pixel"):
         mean_iou(stack, np.array([labels > 0, labels > 1]))

@@ -29,7 +29,8 @@ from kit1000.queries.guesses import (
     level_offset,
 )
 from kit1000.queries.motions import apply_error, error_of, goal_motion, goal_pose
-from kit1000.queries.pivots import part_pivots
+from kit1000.queries.pivots import extent_centre, part_pivots
+from kit1000.queries.tracks import has_curves
 from kit1000.sim.sensors import sense
 from kit1000.values import FIRST_PART_LABEL, FreeAxis, Slot, View
 from tests.samples.strategies import directions, poses, vectors
@@ -281,3 +282,17 @@ def test_every_part_has_its_own_and_parts_that_are_hidden_none() -> None:
     alone = np.where(both == FIRST_PART_LABEL + 2, both, 0).astype(np.uint8)
     assert list(part_pivots(view, both)) == [0, 2]
     assert np.array_equal(part_pivots(view, both)[2], part_pivots(view, alone)[2])
+
+
+def test_the_centre_of_extents_is_that_of_all_points_that_returned() -> None:
+    view, labels = image(0.6)
+    assert extent_centre(view, labels == FIRST_PART_LABEL + 1) is None
+    rows, columns = np.nonzero(labels == FIRST_PART_LABEL)
+    points = POSE.apply(CAMERA.unproject_pixels(np.stack([columns, rows], -1), view.depth[rows, columns]))
+    found = extent_centre(view, labels == FIRST_PART_LABEL)
+    np.testing.assert_allclose(found, (points.min(0) + points.max(0)) / 2, atol=1e-9)
+
+
+def test_the_first_test_scenes_alone_have_curves() -> None:
+    scenes = [f"{split}-s{number:04}" for split in ("train", "val", "test") for number in range(4)]
+    assert [scene for scene in scenes if has_curves(scene, 2)] == ["test-s0000", "test-s0001"]
