@@ -26,7 +26,7 @@ MODULES = {
     "kit1000/submission/*.py": ("tests/submission", "tests/benchmark/test_score.py"),
     "kit1000/queries/*.py": ("tests/queries", "tests/dataset/test_scene_queries.py"),
     "benchmark/intervals.py": ("tests/benchmark/test_intervals.py",),
-    "benchmark/summary.py": ("tests/benchmark/test_score.py", "tests/benchmark/test_curves.py"),
+    "benchmark/summary.py": ("tests/benchmark/test_score.py",),
 }
 """Modules that decide a score, as patterns, and the tests that should notice a change of them."""
 LEAST_SHARE = 0.8  # a part of all sampled changes alters nothing that can be observed, such as a message
