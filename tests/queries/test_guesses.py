@@ -290,6 +290,7 @@ def test_the_centre_of_extents_is_that_of_all_points_that_returned() -> None:
     rows, columns = np.nonzero(labels == FIRST_PART_LABEL)
     points = POSE.apply(CAMERA.unproject_pixels(np.stack([columns, rows], -1), view.depth[rows, columns]))
     found = extent_centre(view, labels == FIRST_PART_LABEL)
+    assert found is not None
     np.testing.assert_allclose(found, (points.min(0) + points.max(0)) / 2, atol=1e-9)
 
 
