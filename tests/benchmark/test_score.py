@@ -100,6 +100,7 @@ def test_the_ground_truth_scores_perfectly(perfect_score: Scores) -> None:
     curves = perfect_score.summary["curves"]
     assert {kind: sum(row["n"] for row in rows) for kind, rows in curves.items()} == {"position": 24, "rotation": 24}
     assert all(row["p80"] <= 1e-9 for rows in curves.values() for row in rows)
+    assert perfect_score.summary["curve_scenes"] == 1
 
 
 def test_every_goal_scores_as_the_ground_truth_also_from_a_file(tmp_path: Path) -> None:

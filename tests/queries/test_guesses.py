@@ -184,7 +184,8 @@ def test_levels_are_evenly_spaced_from_zero_to_the_maximum() -> None:
     assert [round(1e3 * level_offset(k), 9) for k in range(LEVELS)] == [0, 4, 8, 12, 16, 20, 24, 28]
     assert np.allclose(np.diff([level_angle(k) for k in range(LEVELS)]), np.radians(27.5) / 7)
     assert (level_angle(0), level_angle(LEVELS - 1)) == (0, MAX_ANGLE)
-    assert set(FIXED_LEVELS) <= set(range(LEVELS))
+    assert set(np.diff(FIXED_LEVELS)) == {3}
+    assert FIXED_LEVELS[-1] == LEVELS - 1
 
 
 def test_the_row_of_a_draw_is_plain_json() -> None:
