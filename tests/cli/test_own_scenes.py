@@ -183,9 +183,9 @@ def test_an_own_scene_is_labelled_confirmed_and_scored(tmp_path: Path, capsys: p
     root = own_folder(tmp_path / "mine")
     shapes_folder(tmp_path / "shapes")
     status = main(["label", str(root), "--shapes", str(tmp_path / "shapes")])
-    told = capsys.readouterr().out
-    assert status == (0 if all(body.sure for body in read_record(root, SCENE).bodies) else 1)
-    assert told.count("; sure\n") == sum(body.sure for body in read_record(root, SCENE).bodies)
+    told, sure = capsys.readouterr().out, [body.sure for body in read_record(root, SCENE).bodies]
+    assert status == (0 if all(sure) else 1)
+    assert told.count("; sure\n") == sum(sure)
     assert f"labels/{SCENE}.png" in told
     assert main(["label", str(root), "--confirm", "all", "--by", "A. Person"]) == 0
     assert "without truth: none" in capsys.readouterr().out

@@ -63,15 +63,15 @@ def predicted(data: Dataset, method: Registration, queries: QueryTruths) -> list
     return [method(query, data.geometry.true_geometry(truth) if true else None) for query, truth in queries]
 
 
-def check_exact(data: Dataset, queries: QueryTruths) -> None:
-    """With true volumes every part reaches its goal."""
+def check_exact(data: Dataset, queries: QueryTruths, most_deg: float = 3) -> None:
+    """With true volumes every part reaches its goal, and is seated."""
     assert queries
     motions = predicted(data, Registration(data, "truth"), queries)
     goals = [motion.goal_from_now for motion in motions]
     distance, angle = errors_of(data, goals, queries)
     errors = [f"{q.id}: {d:.2f} mm, {t:.2f} degrees" for (q, _), d, t in zip(queries, distance, angle, strict=True)]
     assert (distance < 1.5).all(), errors
-    assert (angle < 5).all(), errors  # the face that the search takes for the lowest may be as oblique to the floor
+    assert (angle < most_deg).all(), errors
     assert seatings(Pose.stack(goals), [truth for _, truth in queries], data.geometry).seated.all(), errors
     assert all(motion.confidence > 0.5 for motion in motions)
 
@@ -84,7 +84,8 @@ def test_with_true_volumes_parts_reach_their_goals(data: Dataset, snaps: QueryTr
 @pytest.mark.parametrize("track", ["snap", "snap-tilt", "place"])
 def test_with_true_volumes_all_parts_reach_their_goals(data: Dataset, track: str) -> None:
     splits = ("train", "val", "test-all") if track != "place" else ("train",)
-    check_exact(data, [pair for split in splits for pair in queries_of(data, split, track)])
+    oblique = 5 if track == "snap-tilt" else 3  # to the floor: the face that the search takes for the lowest
+    check_exact(data, [pair for split in splits for pair in queries_of(data, split, track)], oblique)
 
 
 def check_better_than_the_guess(data: Dataset, queries: QueryTruths) -> None:
