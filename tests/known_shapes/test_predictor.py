@@ -65,7 +65,7 @@ def test_the_page_gets_the_same_insertion_and_the_shapes_where_they_are(mini: Pa
     unmasked = predictor.find([elsewhere], scene.shapes).parts  # no shape is there
     assert {shape.name for shape in unmasked.values()} == names
     assert min(unmasked) == query.image.labels.max() - FIRST_PART_LABEL + 1
-    more = replace(scene.shapes, parts={**scene.shapes.parts, "crate": box((0.3, 0.3, 0.3), (0.0, 0.0))})
+    more = replace(scene.shapes, parts={**scene.shapes.parts, "crate": box((0.1, 0.1, 0.1), (0.0, 0.0))})
     assert KnownShapeRegistration(dataset).find([query], more).missing == ("crate",)
 
 

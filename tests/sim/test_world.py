@@ -71,10 +71,10 @@ def test_many_worlds_leak_no_memory() -> None:
     growth = []
     for _ in range(3):  # a leak grows in each round, the heap of the interpreter in one
         before = memory()
-        for _ in range(60):  # each would leak 300 kB if the rows of points were allocated anew
+        for _ in range(20):  # each would leak 300 kB if the rows of points were allocated anew
             use()
         growth.append(memory() - before)
-    assert min(growth) < 9e6
+    assert min(growth) < 3e6
 
 
 def test_a_world_ends_with_its_block_also_after_an_error() -> None:
