@@ -59,7 +59,6 @@ def fit(
     for reach in reaches:
         window = image.window(shape, others, np.exp(log_scale))
         normal, gradient = _equations(window, shape, others, reach, used, free_scale)
-        normal += RIDGE * np.diag(np.diag(normal)) + 1e-9 * np.eye(len(normal))
         step = np.linalg.solve(normal, gradient)
         covariance = np.linalg.inv(normal)[:4, :4]
         move = step[:3] * min(1.0, float((LIMITS / np.maximum(np.abs(step[:3]), 1e-12)).min()))
@@ -70,6 +69,14 @@ def fit(
         if (np.abs(move) < LEAST_STEP).all():
             break
     return Fit(shape, log_scale if free_scale else 0.0, covariance)
+
+
+def place_covariance(
+    image: DisparityImage, shape: StandingShape, others: Sequence[StandingShape] = (), scale: float = 1.0
+) -> np.ndarray:
+    """(3, 3) of the place and yaw of a shape that explains an image best, by noise and edges of the sensor."""
+    normal, _ = _equations(image.window(shape, others, scale), shape, others, FINE[-1], None, False)
+    return np.linalg.inv(normal)[:3, :3]
 
 
 def _best_stride(
@@ -113,4 +120,6 @@ def _equations(
     residual = window.measured[kept] - mean[kept]
     weight = tukey_weights(residual, reach * np.sqrt(total)) / (total * CORRELATED)
     prior = np.array([0.0, 0.0, 0.0, 0.0 if free_scale else FIXED, *np.full(3, image.bend**-2)])
-    return (unknown * weight) @ unknown.T + np.diag(prior), (unknown * weight) @ residual
+    normal = (unknown * weight) @ unknown.T + np.diag(prior)
+    normal += RIDGE * np.diag(np.diag(normal)) + 1e-9 * np.eye(len(normal))
+    return normal, (unknown * weight) @ residual

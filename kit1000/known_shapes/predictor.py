@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -12,9 +11,8 @@ import numpy as np
 
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
-from kit1000.known_shapes.registration import RegisteredBody, RegisteredScene, register_scene
+from kit1000.known_shapes.registration import CONFIDENCE_DECIMALS, RegisteredBody, register_scene
 from kit1000.known_shapes.several_images import (
-    CONFIDENCE_DECIMALS,
     PlacedScene,
     SeenPart,
     agreed_motions,
@@ -34,11 +32,6 @@ from kit1000.registration.rank import confidence, from_elsewhere
 from kit1000.values import FIRST_PART_LABEL, LabelledDepth, Query, SceneShapes, TrueGeometry, View
 
 KEPT = 8  # scenes of images
-MOST_LEAD = 50.0  # [px] of a pose over its rivals, beyond which none is taken for it
-# Log odds that a motion is seated: constant, and weights of what part and kits leave unexplained, of the lead that the
-# part's pose lacks, as a share, of what the depth scale leaves open of the motion [mm], and of the distance of the part
-# from the camera [m], with which the noise grows. Fitted to motions of train and val, on tracks and imported.
-ODDS = (9.4, -40.0, -1.4, -0.8, -6.8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +133,7 @@ class KnownShapeRegistration:
             return camera.inverse() @ goal_from_now @ camera
 
         def sure(goal_from_now: Pose) -> float:
-            return motion_confidence(scene, part.body, in_camera(goal_from_now))
+            return scene.confidence(part.body, in_camera(goal_from_now))
 
         if name in shapes.goals:
             motions, guess = list(world_from_kits @ shapes.goals[name] @ part.world_from_part.inverse()), query.guess
@@ -212,14 +205,3 @@ def _calibrated(image: LabelledDepth, sensor: SensorFacts) -> tuple[LabelledDept
     calibrated = LabelledDepth(estimate.view, image.labels)
     spread = float(np.sqrt(np.linalg.inv(estimate.information)[6, 6])) * SCALE_SPREAD
     return calibrated, recorded_support(calibrated), DepthScale(spread=spread)
-
-
-def motion_confidence(scene: RegisteredScene, part: RegisteredBody, motion: Pose) -> float:
-    """The share of such motions that are seated. motion: goal_from_now in the camera frame, in true lengths."""
-    left = part.agreement.unexplained + scene.bodies[0].agreement.unexplained
-    lead = MOST_LEAD if part.agreement.lead is None else part.agreement.lead
-    doubt = 1 - min(max(lead, 0.0) / MOST_LEAD, 1.0)
-    far = float(np.linalg.norm(part.standing.camera_from_body().xyz))
-    facts = (1.0, left, doubt, 1e3 * scene.left_open(motion), far)
-    odds = sum(weight * value for weight, value in zip(ODDS, facts, strict=True))
-    return round(1 / (1 + math.exp(-odds)), CONFIDENCE_DECIMALS)

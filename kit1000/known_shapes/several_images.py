@@ -14,7 +14,13 @@ from typing import NamedTuple
 import numpy as np
 
 from kit1000.known_shapes.fit import FINE, fit
-from kit1000.known_shapes.registration import SAME_POSE, RegisteredBody, RegisteredScene, agreement
+from kit1000.known_shapes.registration import (
+    CONFIDENCE_DECIMALS,
+    SAME_POSE,
+    RegisteredBody,
+    RegisteredScene,
+    agreement,
+)
 from kit1000.known_shapes.scene_search import GAP
 from kit1000.known_shapes.shapes import ShapeDistance, StandingShape, neighbours
 from kit1000.mesh import Mesh
@@ -22,7 +28,6 @@ from kit1000.pose import Pose
 from kit1000.predictor import PredictedMotion
 from kit1000.registration.rank import difference, mean_motion
 
-CONFIDENCE_DECIMALS = 4
 NEAR = 8e-3  # [m] largest difference between motions of the same pose
 LEAST_WEIGHT = 0.01  # of a motion in a mean
 ROTATED = 0.2  # [rad] between two poses of a symmetric shape, at least

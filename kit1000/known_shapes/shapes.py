@@ -21,6 +21,7 @@ FLAT = 1e-6  # [m] by which vertices of one face may leave its plane
 COPLANAR_DECIMALS = 5  # of the normals of one face
 DENSE, SPARSE = 6000, 600  # points of a surface that are searched, and that are looked up
 FARTHEST = 98  # percent of the points: single ones of a sparse surface may lie farther from their neighbours
+MOST_YAW = 1.0  # [rad] standard deviation of a yaw that nothing shows
 UP = np.array([0.0, 0.0, 1.0])
 KITS = "kits"  # name of the kits among the bodies of a scene
 
@@ -118,6 +119,21 @@ class StandingShape:
     def radius(self) -> float:
         """[m] half the diagonal of its box."""
         return float(np.linalg.norm(self.shape.mesh.extents)) / 2
+
+    def surface_spread(self, covariance: np.ndarray) -> float:
+        """[m] RMS by which its surface may lie off along its normals. covariance: (3, 3) of its place.
+
+        The yaw of a round shape, which no image shows, moves no surface.
+        """
+        mesh, pose = self.shape.mesh, self.table.inverse() @ self.camera_from_body()
+        corners = pose.apply(mesh.vertices)[mesh.faces]
+        middles = (corners + np.roll(corners, 1, axis=1)) / 2  # of edges: their mean square is that of the face
+        arms = middles[..., :2] - self.place[:2]
+        x, y, _ = np.broadcast_to(pose.rotate(mesh.normals)[:, None], middles.shape).T
+        moves = np.stack([x, y, y * arms[..., 0].T - x * arms[..., 1].T])
+        squares = np.einsum("iek,jek,k->ij", moves, moves, mesh.areas / (3 * mesh.area))
+        least = np.diag([1.0, 1.0, min(1.0, MOST_YAW / np.sqrt(covariance[2, 2]))])
+        return float(np.sqrt(np.trace(least @ covariance @ least @ squares)))
 
     def near(self, other: StandingShape, gap: float) -> bool:
         """Whether another shape may be within a gap [m]."""

@@ -12,7 +12,7 @@ from kit1000.camera import look_at
 from kit1000.errors import ShapeError
 from kit1000.mesh import Mesh
 from kit1000.perception.calibration import OUTLINE, CameraEstimate, calibrated, camera_estimate_by, flattened, unbent
-from kit1000.perception.calibration.camera_pose import BORDER_REACH, SPREADS, OutlineEdge, camera_estimate, seen_borders
+from kit1000.perception.calibration.camera_pose import BORDER_REACH, SPREADS, camera_estimate, seen_borders
 from kit1000.perception.calibration.depth_scale import DepthScale, stated_scale
 from kit1000.perception.calibration.table import BENT, PLANE_REACH, correlated_in, table_plane, table_residuals
 from kit1000.perception.restoration import calibrated_image
