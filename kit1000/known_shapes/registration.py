@@ -59,7 +59,7 @@ class Agreement:
         if self.lead is not None and self.lead < CLEAR_LEAD:
             found.append("another pose explains the image nearly as well")
         if self.spread > MOST_OPEN:
-            found.append(f"too little of it is seen: its surface may be off by {self.spread * 1e3:.1f} mm")
+            found.append(f"what is seen of it leaves its surface uncertain by {self.spread * 1e3:.1f} mm")
         return tuple(found)
 
 

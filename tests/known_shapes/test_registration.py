@@ -13,7 +13,7 @@ import pytest
 from kit1000.errors import InputError
 from kit1000.known_shapes.height_search import HeightGrid, Place
 from kit1000.known_shapes.known_kits import KITS
-from kit1000.known_shapes.registration import RegisteredScene, register_scene
+from kit1000.known_shapes.registration import RegisteredScene, agreement, register_scene
 from kit1000.known_shapes.shapes import KnownShape
 from kit1000.perception.sensor_facts import SensorFacts
 from kit1000.pose import Pose
@@ -149,6 +149,22 @@ def test_a_motion_is_in_doubt_if_kits_or_part_are(wrong: int) -> None:
     bodies = [*result.bodies]
     bodies[wrong] = replace(bodies[wrong], agreement=replace(bodies[wrong].agreement, unexplained=0.5))
     assert replace(sharp, bodies=tuple(bodies)).motion_doubts(bodies[1], motion)
+
+
+def test_the_less_is_seen_of_a_part_the_less_sure_is_its_motion() -> None:
+    result = replace(found(), scale_spread=1e-4)
+    part, motion = result.bodies[1], motion_at(result, result.scale)
+    spreads, sure = [part.agreement.spread], [result.confidence(part, motion)]
+    across = np.nonzero(sample_scene().image.labels == part.label)[1]
+    for share in (50, 80):  # of its columns, from the right, that have no return
+        measured = result.image.measured.copy()
+        measured[:, int(np.percentile(across, 100 - share)) :] = 0
+        left = agreement(replace(result.image, measured=measured), part.standing, (), result.scale)
+        spreads.append(left.spread)
+        hidden = replace(part, agreement=replace(part.agreement, spread=left.spread))
+        sure.append(result.confidence(hidden, motion))
+    assert spreads[0] < spreads[1] < spreads[2]
+    assert sure[0] > sure[1] > sure[2]
 
 
 def test_images_without_what_is_needed_are_refused() -> None:
