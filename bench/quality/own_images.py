@@ -69,7 +69,7 @@ class OwnImages:
     scenes: int = 12
     """Number of scenes, the first of the split."""
     method: str = "registration-completed"
-    """The method that predicts."""
+    """The method that predicts; one of known shapes gets those of the scene."""
     out: Path | None = None
     """JSON file of the tables, such as results/own-images.json."""
 
@@ -145,6 +145,7 @@ def seated(
 ) -> Iterator[Row]:
     """Whether each motion is, by task and number of places. labels: (H, W) the true masks of the first image."""
     dataset, homes = scene.split.dataset, _homes(own[0], labels)
+    shapes = scene.shapes if method_of(method).reads == "shapes" else None
     for places in PLACES:
         out = folder / f"own-{places}"
         write_own_folder(out, own[:places], dataset.summary["config"]["clearance"], one_scene=places > 1)
@@ -154,7 +155,7 @@ def seated(
             task = query.track.removesuffix(f"-{SENSOR}")
             if query.sensor == SENSOR and task in TASKS:
                 found = _imported_query(query, known, homes)
-                motion = Pose.identity() if found is None else predictor(found, None).goal_from_now
+                motion = Pose.identity() if found is None else predictor(found, shapes).goal_from_now
                 ok = seatings(Pose.stack([motion]), [scene.truth_of(query.id)], dataset.geometry).seated[0]
                 yield {"task": task, "places": places, "seated": bool(ok)}
 
