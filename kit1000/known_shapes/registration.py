@@ -28,8 +28,8 @@ LEAST_SCALE_SPREAD = 1e-4
 GOOD, CLEAR_LEAD = 0.03, 50.0  # unexplained share and lead of a certain pose: of 100 such poses of val 94 are right
 MOST_SPREAD = 1.25e-3  # [m] of a certain pose, by the depth scale
 MOST_OPEN = 0.5e-3  # [m] of a certain pose, by what is seen of it
-CERTAIN = 0.8  # confidence of a certain motion: 43 % of 314 of train and val are, of these 93 % are seated
-SURFACE_SHARE = 3.0  # the distance by which a part is off in a motion over that of its surface along its normals
+CERTAIN = 0.8  # confidence of a certain motion: of 326 imported ones 43 % are certain, 93 % of these seated
+SURFACE_SHARE = 3.0  # by which a part lies off, over the RMS distance of its surface along its normals
 # Log odds that a motion is seated: constant, and weights of what part and kits leave unexplained, of the lead that the
 # part's pose lacks, as a share, and of the spread of the motion [mm]. Fitted to train and val, on tracks and imported.
 ODDS = (5.3, -45.0, -0.9, -1.5)
@@ -48,7 +48,7 @@ class Agreement:
     depth: float
     """[m] median absolute difference of measured and rendered depth."""
     spread: float = 0.0
-    """[m] RMS by which its surface may lie off, see `StandingShape.surface_spread`; it grows if much is hidden."""
+    """[m] RMS distance by which its surface may lie off along its normals: larger if much of it is hidden."""
 
     @property
     def faults(self) -> tuple[str, ...]:
@@ -59,7 +59,7 @@ class Agreement:
         if self.lead is not None and self.lead < CLEAR_LEAD:
             found.append("another pose explains the image nearly as well")
         if self.spread > MOST_OPEN:
-            found.append(f"what is seen of it leaves its surface uncertain by {self.spread * 1e3:.1f} mm")
+            found.append(f"too little of it is seen to place its surface within {MOST_OPEN * 1e3:g} mm")
         return tuple(found)
 
 
