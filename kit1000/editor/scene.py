@@ -121,7 +121,7 @@ class EditedScene:
         return points[ConvexHull(points).vertices]
 
     def is_sure(self, part: int) -> bool:
-        """Whether the shape of a part was found, and the image alone settles its pose."""
+        """Whether the shape of a part was found, and its motion is sure."""
         found = None if self.known is None else self.known.parts.get(part)
         return found is not None and not found.doubts
 

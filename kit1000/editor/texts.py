@@ -127,7 +127,7 @@ def shape_text(found: FoundShape | None) -> str:
     """What is known of the shape of a body, behind its name."""
     if found is None:
         return " · ? no known shape was found here: shown as seen"
-    unsure = f" ? pose not sure: {plain('; '.join(found.doubts))}" if found.doubts else ""
+    unsure = f" ? not sure: {plain('; '.join(found.doubts))}" if found.doubts else ""
     return f" · {plain(found.name)}{unsure}"
 
 

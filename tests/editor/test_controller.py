@@ -299,7 +299,7 @@ def test_known_shapes_replace_what_is_seen_and_doubts_are_marked(
     assert meshes[KITS] is true.kits
     assert meshes[body_node(part)] is meshes[ghost_node(part)] is part_mesh
     lines = table.stage.texts["parts"].splitlines()
-    assert lines[0].startswith("kits ? pose not sure: the scale is open")
+    assert lines[0].startswith("kits ? not sure: the scale is open")
     assert "tee" in lines[1]
     assert "?" not in lines[1] + table.stage.labels[f"/name/{part}"]
     for line, other in zip(lines[2:], others, strict=True):
