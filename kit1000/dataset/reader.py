@@ -32,7 +32,7 @@ from kit1000.values import Body, LabelledDepth, Query, Scene, SceneShapes, Truth
 MAX_OPEN_FILES = 128  # open at once: all shards of the largest split, with their truth
 WITHHELD_FILE = "withheld.json"  # in the full folder of a withheld dataset: salt, commitment, id of the public one
 WITHOUT_TRUTH = "scenes without ground truth, as those of an own camera, cannot be scored, run or verified"
-CACHED_IMAGES = 4  # depth images with masks in memory: the queries of a scene share them
+CACHED_IMAGES = 8  # depth images with masks in memory: the queries of a scene share them, from several places too
 
 
 def _not_curve(row: Row) -> bool:
