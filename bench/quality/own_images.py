@@ -145,12 +145,13 @@ def seated(
 ) -> Iterator[Row]:
     """Whether each motion is, by task and number of places. labels: (H, W) the true masks of the first image."""
     dataset, homes = scene.split.dataset, _homes(own[0], labels)
-    shapes = scene.shapes if method_of(method).reads == "shapes" else None
+    chosen = method_of(method)
+    shapes = scene.shapes if chosen.reads == "shapes" else None
     for places in PLACES:
         out = folder / f"own-{places}"
         write_own_folder(out, own[:places], dataset.summary["config"]["clearance"], one_scene=places > 1)
         data = Dataset(out)
-        predictor, known = make_predictor(method_of(method), data, 0), next(iter(data.split("test"))).queries
+        predictor, known = make_predictor(chosen, data, 0), next(iter(data.split("test"))).queries
         for query in scene.queries:
             task = query.track.removesuffix(f"-{SENSOR}")
             if query.sensor == SENSOR and task in TASKS:

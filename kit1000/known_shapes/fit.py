@@ -71,11 +71,9 @@ def fit(
     return Fit(shape, log_scale if free_scale else 0.0, covariance)
 
 
-def place_covariance(
-    image: DisparityImage, shape: StandingShape, others: Sequence[StandingShape] = (), scale: float = 1.0
-) -> np.ndarray:
-    """(3, 3) of the place and yaw of a shape that explains an image best, by noise and edges of the sensor."""
-    normal, _ = _equations(image.window(shape, others, scale), shape, others, FINE[-1], None, False)
+def place_covariance(window: Window, shape: StandingShape) -> np.ndarray:
+    """(3, 3) of the place and yaw of a shape that explains a window best, by noise and edges of the sensor."""
+    normal, _ = _equations(window, shape, (), FINE[-1], None, False)
     return np.linalg.inv(normal)[:3, :3]
 
 

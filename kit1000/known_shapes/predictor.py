@@ -12,12 +12,7 @@ import numpy as np
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.known_shapes.registration import CONFIDENCE_DECIMALS, RegisteredBody, register_scene
-from kit1000.known_shapes.several_images import (
-    PlacedScene,
-    SeenPart,
-    agreed_motions,
-    one_part,
-)
+from kit1000.known_shapes.several_images import PlacedScene, SeenPart, agreed_motions, one_part
 from kit1000.known_shapes.shapes import KITS, KnownShape
 from kit1000.known_shapes.support import Support, recorded_support
 from kit1000.mesh import Mesh

@@ -220,5 +220,5 @@ def agreement(
     exact, inside = window.exact(body)
     both = inside & (window.measured > 0)
     off = np.abs(image.gain / window.measured[both] - image.gain / exact[both]) if both.any() else np.array([np.inf])
-    spread = body.surface_spread(place_covariance(image, body, beside, scale))
+    spread = body.surface_spread(place_covariance(window, body))
     return Agreement(window.explained(body).misfit, None, float(np.median(off)), spread)

@@ -55,8 +55,7 @@ def test_a_standing_shape_is_found_again_by_its_pose(face: int, x: float, y: flo
 
 def standing_on_a_table(solid: Manifold, place: tuple[float, float, float]) -> StandingShape:
     shape = KnownShape.of("part", mesh_from_solid(solid))
-    table = table_frame(Support(np.array((0.0, 0.0, -1.0)), -0.7, 1e-3, 1e-4))
-    return StandingShape(shape, shape.levels[0], np.array(place), table)
+    return StandingShape(shape, shape.levels[0], np.array(place), table_frame(SUPPORT))
 
 
 L_SHAPE = Manifold.cube((0.04, 0.03, 0.02)) - Manifold.cube((0.03, 0.02, 0.03)).translate((0.02, 0.01, -0.005))
