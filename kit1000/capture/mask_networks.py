@@ -15,14 +15,14 @@ import numpy as np
 from scipy.ndimage import binary_propagation
 
 from kit1000.capture.own_world import world_of_bodies
-from kit1000.capture.seen_bodies import EDGE, SeenBody, measured_body
+from kit1000.capture.seen_bodies import EDGE, FRAGMENT, SeenBody, lies_within, measured_body
 from kit1000.capture.table_search import Table, convex_outline, inside_outline
-from kit1000.perception.segmentation.instances import find_bodies, points_and_heights, segmented
+from kit1000.perception.segmentation.instances import find_bodies, segmented
 from kit1000.perception.sensor_facts import SensorFacts
 from kit1000.values import ASSEMBLY_LABEL, View
 
 AGREED = 0.5  # least IoU of a body and what the network sees of it; least share of a body that lies in one instance
-LOW_PIXELS, LOW_HEIGHT = 650, 6e-3  # [px], [m] of instances that no body covers: 47 of 52 are parts (val, train)
+LOW_PIXELS, LOW_LOGIT = 400, 2.0  # least size [px] and mean logit of an instance that no body covers
 LOW_COVERED = 0.3  # share of such an instance that bodies cover, at most
 LEAST_PART = 150  # [px] of an instance
 LEAST_SHARE = 0.12  # ratio of the pixels of an instance to those of the largest one in a body, at least
@@ -36,7 +36,7 @@ class Found(NamedTuple):
 
     kits: np.ndarray  # (H, W) bool
     instances: np.ndarray  # (H, W) int: from 1 on the parts of the parts' half, 0 elsewhere
-    heights: np.ndarray  # (H, W) [m] above the table, of a restored image; 0 without a return
+    logits: np.ndarray  # (H, W) of showing a part, by a network; 0 if none looked
 
 
 def networks_available() -> bool:
@@ -49,7 +49,8 @@ def outlined(
 ) -> tuple[SeenBody, list[SeenBody]]:
     """The kit and the parts with the outlines that the networks see.
 
-    Touching parts become several, and bodies of one part become one.
+    Touching parts become several, and bodies of one part become one. A small body that no line separates from the kit
+    is left out if it is a piece of the kit, which a shadow cut off; beside a larger one all bodies stay as they are.
 
     Args:
         table: of the image.
@@ -60,14 +61,21 @@ def outlined(
     """
     kit, *parts = bodies
     world = world_of_bodies(table, kit, parts or doubtful)
-    if world.gap is None or world.gap <= 0:  # the networks know scenes in two halves
-        return kit, parts
+    between = [body for body in parts or doubtful if body not in world.beside]
+    if not world.beside or any(body.area > FRAGMENT * kit.area for body in between):
+        return kit, parts  # the networks know scenes in two halves
     found = _found(View(table.image.camera, world.world_from_camera, depth), facts)
+    kits = np.asarray(binary_propagation(kit.mask & found.kits, mask=found.kits), bool)  # without specks beside them
+    parts = [part for part in parts if part not in between or not _is_cut_off(table, part, kit, kits)]
     whole = _joined(table, parts + _low_parts(table, bodies, found), found)
     counts = _instance_counts(whole, found.instances)
     pieces = [_pieces(table, *counted, found.instances) for counted in zip(whole, counts, strict=True)]
-    kits = np.asarray(binary_propagation(kit.mask & found.kits, mask=found.kits), bool)  # without specks beside them
     return _with_outline(table, kit, kits), [piece for some in pieces for piece in some]
+
+
+def _is_cut_off(table: Table, body: SeenBody, kit: SeenBody, kits: np.ndarray) -> bool:
+    """Whether a body is a piece of the kit, whose outline (H, W) bool segmentation sees."""
+    return bool(np.mean(kits[body.mask]) > AGREED) and lies_within(table, body, kit)
 
 
 def _found(view: View, facts: SensorFacts) -> Found:
@@ -75,28 +83,34 @@ def _found(view: View, facts: SensorFacts) -> Found:
     if not facts.kind.restores:
         labels = segmented(view, facts)
         parts = np.maximum(labels.astype(int) - ASSEMBLY_LABEL, 0)
-        return Found(labels == ASSEMBLY_LABEL, parts, points_and_heights(view)[1])
+        return Found(labels == ASSEMBLY_LABEL, parts, np.zeros(labels.shape))
     from kit1000.perception.segmentation.predicted_masks import mask_networks
 
     restorer, finder = mask_networks()
     bodies = find_bodies(view, facts, restorer)
-    return Found(bodies.kits, finder(bodies), np.where(bodies.view.depth > 0, bodies.points[..., 2], 0.0))
+    return Found(bodies.kits, *finder.instances(bodies))
 
 
 def _low_parts(table: Table, bodies: Sequence[SeenBody], found: Found) -> list[SeenBody]:
-    """The instances that no body covers: parts that the ripple of the table hides, but not from the networks."""
+    """The instances that no body covers: parts that the ripple of the table hides, but not from the networks.
+
+    Pixels without a return count with a logit of 0, for a network guesses there.
+    """
     pixels = np.bincount(found.instances.ravel())
     covered = np.bincount(found.instances[np.any([body.mask for body in bodies], axis=0)], minlength=len(pixels))
-    heights = np.bincount(found.instances.ravel(), found.heights.ravel()) / np.maximum(pixels, 1)
-    low = (pixels >= LOW_PIXELS) & (covered < LOW_COVERED * pixels) & (heights > LOW_HEIGHT)
+    logits = np.where(table.image.depth > 0, found.logits, 0.0)
+    likely = np.bincount(found.instances.ravel(), logits.ravel()) > LOW_LOGIT * pixels
+    low = likely & (pixels >= LOW_PIXELS) & (covered < LOW_COVERED * pixels)
     masks = (found.instances == number for number in np.flatnonzero(low) if number)
     return [measured_body(table, mask) for mask in masks if _is_on_table(table, mask)]
 
 
 def _is_on_table(table: Table, mask: np.ndarray) -> bool:
-    """Whether most of the returns in a mask (H, W) bool lie inside the outline of the table."""
-    feet = table.ground(mask)
-    return len(feet) > 0 and bool(np.mean(inside_outline(feet, table.outline, EDGE)) > 0.5)
+    """Whether most of the returns in a mask (H, W) bool lie inside the outline of the table, and not below it."""
+    feet, heights = table.ground(mask), table.heights[mask & (table.image.depth > 0)]
+    if len(feet) == 0:
+        return False
+    return bool(np.mean(inside_outline(feet, table.outline, EDGE)) > 0.5 and np.median(heights) > -table.ripple)
 
 
 def _joined(table: Table, parts: Sequence[SeenBody], found: Found) -> list[SeenBody]:

@@ -15,6 +15,7 @@ from kit1000.pose import Pose, quaternion_between
 DIRECTIONS = 360  # of the line between kit and parts
 KITS_PLACE = 0.2  # [m] from the origin to the middle of the kit, where there are no parts
 SAME_GAP = 2e-3  # [m] gaps up to this much narrower than the widest are as good
+ROUNDING = 1e-9  # of sums of areas
 TRIMMED = 0.01  # share of a body's points beyond either side of the line
 
 
@@ -27,25 +28,34 @@ class OwnWorld:
     """[m] between kit and parts along y; below 0: no line separates them; None: no parts, or a pose was given."""
     moved: tuple[float, float] = (0.0, 0.0)
     """[m] and degrees by which a given pose was corrected, so that the table is at z = 0."""
+    beside: tuple[SeenBody, ...] = ()
+    """The parts that the line y = 0 separates from the kit."""
 
 
 def world_of_bodies(table: Table, kit: SeenBody, parts: Sequence[SeenBody]) -> OwnWorld:
-    """The world whose line y = 0 best separates the kit from the parts, with its origin in the gap."""
+    """The world whose line y = 0 best separates the kit from the parts, with its origin in the gap.
+
+    Without a line that separates all parts, from those of as large an area as possible.
+    """
     angles = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
     directions = np.stack([np.cos(angles), np.sin(angles)], -1)
     if not parts:
         towards = np.array([0.0, 1.0])
         return OwnWorld(_pose(table, towards, kit.centre - KITS_PLACE * towards), None)
     near = _reached(table, kit, directions, TRIMMED)
-    far = np.max([_reached(table, part, directions, 1 - TRIMMED) for part in parts], axis=0)
-    gaps = near - far
+    far = np.array([_reached(table, part, directions, 1 - TRIMMED) for part in parts])
+    beside = far < near
+    area = np.array([part.area for part in parts]) @ beside
+    gaps = near - np.where(beside | (area == 0), far, -np.inf).max(0)
+    gaps[area < (1 - ROUNDING) * area.max()] = -np.inf
     widest = np.flatnonzero(gaps >= gaps.max() - SAME_GAP)
     best = widest[len(widest) // 2] if np.ptp(widest) < DIRECTIONS / 2 else int(gaps.argmax())
     towards = directions[best]
     middle = (kit.centre + np.mean([part.centre for part in parts], axis=0)) / 2
     across = np.array([towards[1], -towards[0]])
-    origin = (near[best] + far[best]) / 2 * towards + (middle @ across) * across
-    return OwnWorld(_pose(table, towards, origin), float(gaps[best]))
+    origin = (near[best] - gaps[best] / 2) * towards + (middle @ across) * across
+    separated = tuple(part for part, there in zip(parts, beside[:, best], strict=True) if there)
+    return OwnWorld(_pose(table, towards, origin), float((near - far)[:, best].min()), beside=separated)
 
 
 def _reached(table: Table, body: SeenBody, directions: np.ndarray, share: float) -> np.ndarray:

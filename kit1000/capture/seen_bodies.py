@@ -119,7 +119,7 @@ def _with_fragments(table: Table, bodies: list[SeenBody]) -> list[SeenBody]:
     whole: list[SeenBody] = []
     for body in bodies:
         homes = (i for i, other in enumerate(whole) if body.area < FRAGMENT * other.area and body.area < FRAGMENT_AREA)
-        home = next((i for i in homes if _within(table, body, whole[i])), None)
+        home = next((i for i in homes if lies_within(table, body, whole[i])), None)
         if home is None:
             whole.append(body)
         else:
@@ -127,7 +127,7 @@ def _with_fragments(table: Table, bodies: list[SeenBody]) -> list[SeenBody]:
     return whole
 
 
-def _within(table: Table, body: SeenBody, other: SeenBody) -> bool:
+def lies_within(table: Table, body: SeenBody, other: SeenBody) -> bool:
     """Whether most of a body lies inside the convex outline of another one, from above."""
     outline = convex_outline(table.ground(other.mask))
     return bool(np.mean(inside_outline(table.ground(body.mask), outline, 0.0)) > 0.5)

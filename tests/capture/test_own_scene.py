@@ -27,6 +27,7 @@ from tests.samples.own_images import CAMERA, EYE, KIT, PARTS, exact_depth, milli
 
 KNOWN = Intrinsics(CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy, device="Intel RealSense D435i")
 BODIES = (KIT, *PARTS)
+TOUCHING = (KIT, ((0.05, 0.03, 0.03), (-0.05, -0.06)), ((0.02, 0.05, 0.015), (-0.015, -0.085)))
 
 
 def wanted(**values: Any) -> ImportOptions:
@@ -91,12 +92,30 @@ def test_a_scanner_is_known_by_its_name(device: str) -> None:
 
 
 def test_touching_parts_of_a_scanner_become_two() -> None:
-    bodies = (KIT, ((0.05, 0.03, 0.03), (-0.05, -0.06)), ((0.02, 0.05, 0.015), (-0.015, -0.085)))
-    depth = noisy_depth(exact_depth(bodies), 0.01)
+    depth = noisy_depth(exact_depth(TOUCHING), 0.01)
     assert len(scene_of(depth, wanted(device="PhoXi")).parts) == 1
     found = scene_of(depth, wanted(device="PhoXi", networks=True))
     assert sorted(round(1e3 * part.height) for part in found.parts) == [15, 30]
     assert shown(found) == 2
+
+
+def test_a_piece_of_the_kit_that_shadows_cut_off_is_no_part() -> None:
+    depth = noisy_depth(exact_depth(TOUCHING), 0.01).copy()
+    (_, _, z), (x, y) = KIT
+    u, v = np.rint(CAMERA.project(EYE.inverse().apply((x, y, z)))).astype(int)
+    piece = depth[v - 14 : v + 14, u - 14 : u + 14].copy()
+    depth[v - 18 : v + 18, u - 18 : u + 18] = 0
+    depth[v - 14 : v + 14, u - 14 : u + 14] = piece
+    assert len(scene_of(depth, wanted(device="PhoXi")).parts) == 2
+    found = scene_of(depth, wanted(device="PhoXi", networks=True))
+    assert sorted(round(1e3 * part.height) for part in found.parts) == [15, 30]
+    assert found.image.labels[v, u] == ASSEMBLY_LABEL
+
+
+def test_a_small_part_behind_the_kit_stays_one_and_hides_no_others() -> None:
+    behind = ((0.03, 0.02, 0.02), (KIT[1][0], KIT[1][1] + KIT[0][1] / 2 + 0.05))
+    depth = noisy_depth(exact_depth((*TOUCHING, behind)), 0.01)
+    assert len(scene_of(depth, wanted(device="PhoXi", networks=True)).parts) == len(TOUCHING)
 
 
 def test_a_speck_beside_the_kit_is_no_piece_of_it() -> None:

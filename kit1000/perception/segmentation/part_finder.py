@@ -44,6 +44,15 @@ class Votes(NamedTuple):
     """(B, H, W) logit of showing a part."""
 
 
+class Instances(NamedTuple):
+    """The parts that the network sees in an image."""
+
+    labels: np.ndarray
+    """(H, W) int: from 1 on the pixels of each part, 0 elsewhere."""
+    logits: np.ndarray
+    """(H, W) of showing a part; 0 where none is looked for."""
+
+
 class CentresNet(UNet):
     """Heights to votes."""
 
@@ -128,28 +137,34 @@ class PartFinder:
 
     def __call__(self, bodies: Bodies) -> np.ndarray:
         """(H, W) int: from 1 on the pixels of each part of an image, 0 elsewhere."""
-        labels = np.zeros(bodies.parts.shape, int)
+        return self.instances(bodies).labels
+
+    def instances(self, bodies: Bodies) -> Instances:
+        """The parts of an image, and how sure each pixel is."""
+        labels, logits = np.zeros(bodies.parts.shape, int), np.zeros(bodies.parts.shape)
         rows, columns = (np.flatnonzero(bodies.parts.any(axis)) for axis in (1, 0))
         if len(rows) == 0:
-            return labels
+            return Instances(labels, logits)
         tall, broad = (slice(max(line[0] - BORDER, 0), line[-1] + BORDER + 1) for line in (rows, columns))
         box = padded_box(tall, broad, SIDE, bodies.view.camera)
-        offset, part = self.votes(bodies, box)
-        found = gathered(np.indices(part.shape) + offset[::-1], part & ~on_far_half(bodies.points[box]))
+        offset, logits[box] = self.votes(bodies, box)
+        found = gathered(
+            np.indices(offset.shape[1:]) + offset[::-1], (logits[box] > 0) & ~on_far_half(bodies.points[box])
+        )
         pixels, shared = (
             np.bincount(found[mask], minlength=found.max() + 1) for mask in (found > 0, bodies.parts[box])
         )
         labels[box] = np.where((shared >= ON_BODIES * pixels)[found], found, 0)
-        return labels
+        return Instances(labels, logits)
 
     def votes(self, bodies: Bodies, box: Box) -> tuple[np.ndarray, np.ndarray]:
-        """(2, h, w) [px] across and down; (h, w) bool: pixels that show a part.
+        """(2, h, w) [px] across and down; (h, w) logits of showing a part.
 
         Each is the median by images that begin at several pixels, see `median_of_shifts`.
         """
         read, camera = inputs_of(bodies), bodies.view.camera
         votes = median_of_shifts(lambda wide: self._votes(read, wide), box, SIDE, camera)
-        return votes[:2], votes[2] > 0
+        return votes[:2], votes[2] * LOGIT_STEP
 
     def _votes(self, inputs: Inputs, box: Box) -> np.ndarray:
         """(3, h, w) offsets [px] across and down, and logits of showing a part; rounded."""
