@@ -12,7 +12,7 @@ from importlib.util import find_spec
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import binary_propagation
+from scipy.ndimage import binary_dilation, binary_propagation, find_objects
 
 from kit1000.capture.own_world import world_of_bodies
 from kit1000.capture.seen_bodies import EDGE, FRAGMENT, SeenBody, lies_within, measured_body
@@ -24,6 +24,7 @@ from kit1000.values import ASSEMBLY_LABEL, View
 AGREED = 0.5  # least IoU of a body and what the network sees of it; least share of a body that lies in one instance
 LOW_PIXELS, LOW_LOGIT = 400, 2.0  # least size [px] and mean logit of an instance that no body covers
 LOW_COVERED = 0.3  # share of such an instance that bodies cover, at most
+LOW_STEP, RING = 1.5e-3, (5, 14)  # [m] by which it is higher than the table about it, [px] how far away that is
 LEAST_PART = 150  # [px] of an instance
 LEAST_SHARE = 0.12  # ratio of the pixels of an instance to those of the largest one in a body, at least
 ROUND = 0.88  # area over convex area from above: a body with more than that is one part
@@ -102,15 +103,22 @@ def _low_parts(table: Table, bodies: Sequence[SeenBody], found: Found) -> list[S
     likely = np.bincount(found.instances.ravel(), logits.ravel()) > LOW_LOGIT * pixels
     low = likely & (pixels >= LOW_PIXELS) & (covered < LOW_COVERED * pixels)
     masks = (found.instances == number for number in np.flatnonzero(low) if number)
-    return [measured_body(table, mask) for mask in masks if _is_on_table(table, mask)]
+    return [measured_body(table, mask) for mask in masks if _stands_on_table(table, mask, found.instances == 0)]
 
 
-def _is_on_table(table: Table, mask: np.ndarray) -> bool:
-    """Whether most of the returns in a mask (H, W) bool lie inside the outline of the table, and not below it."""
-    feet, heights = table.ground(mask), table.heights[mask & (table.image.depth > 0)]
-    if len(feet) == 0:
+def _stands_on_table(table: Table, mask: np.ndarray, free: np.ndarray) -> bool:
+    """Whether what a mask (H, W) bool shows is inside the outline of the table, and higher than what is about it.
+
+    free: (H, W) bool, pixels that show no part.
+    """
+    shown, heights = mask & (table.image.depth > 0), table.flat_heights
+    if not shown.any() or np.mean(inside_outline(table.ground(shown), table.outline, EDGE)) < AGREED:
         return False
-    return bool(np.mean(inside_outline(feet, table.outline, EDGE)) > 0.5 and np.median(heights) > -table.ripple)
+    box = tuple(slice(max(side.start - RING[1], 0), side.stop + RING[1]) for side in find_objects(mask.astype(int))[0])
+    near, far = (np.asarray(binary_dilation(mask[box], iterations=reach), bool) for reach in RING)
+    about = heights[box][far & ~near & free[box] & (table.image.depth[box] > 0)]
+    level = max(float(np.median(about)), -table.ripple) if len(about) else -table.ripple
+    return bool(np.mean(heights[shown]) > level + LOW_STEP)
 
 
 def _joined(table: Table, parts: Sequence[SeenBody], found: Found) -> list[SeenBody]:

@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 
 from kit1000.camera import look_at
+from kit1000.capture import mask_networks
 from kit1000.capture.depth_frames import DepthFrame
 from kit1000.capture.intrinsics import Intrinsics
+from kit1000.capture.mask_networks import Found
 from kit1000.capture.options import ImportOptions
 from kit1000.capture.own_scene import OwnScene, own_scene
 from kit1000.capture.pinhole_images import PinholeImage, pinhole_image
@@ -136,6 +138,20 @@ def test_a_low_part_on_a_rippled_table_counts_where_the_networks_see_it() -> Non
     assert len(scene_of(alone, wanted(networks=True)).parts) == 1
     empty = noisy_depth(exact_depth((KIT, *PARTS)), 0.2)
     assert len(scene_of(empty, wanted(networks=True)).parts) == len(PARTS)
+
+
+def test_what_networks_see_on_the_bare_table_is_no_part(monkeypatch: pytest.MonkeyPatch) -> None:
+    low, bare = ((0.04, 0.03, 0.003), (-0.06, -0.16)), (0.08, -0.16)
+    depth, instances = noisy_depth(exact_depth((KIT, *PARTS, low)), 0.1), np.zeros((480, 640), int)
+    for number, place in enumerate((low[1], bare), start=1):
+        u, v = np.rint(CAMERA.project(EYE.inverse().apply((*place, 0.0)))).astype(int)
+        instances[v - 12 : v + 12, u - 15 : u + 15] = number
+    seen = Found(np.zeros(instances.shape, bool), instances, np.full(instances.shape, 9.0))
+    monkeypatch.setattr(mask_networks, "_found", lambda view, facts: seen)
+    found = scene_of(depth, wanted(networks=True))
+    assert len(found.parts) == len(PARTS) + 1
+    assert (found.image.labels[instances == 1] >= FIRST_PART_LABEL).all()
+    assert not found.image.labels[instances == 2].any()
 
 
 def test_the_outlines_of_networks_are_nearer_the_true_ones() -> None:
