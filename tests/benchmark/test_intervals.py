@@ -146,6 +146,14 @@ def test_two_clusterings_cover_the_true_mean_in_95_of_100_samples(part: float, a
     assert part == 0 or alone / 300 < 0.9
 
 
+def test_two_clusterings_keep_the_skew_of_the_values() -> None:
+    first, second = np.divmod(np.arange(144), 12)
+    values = 10.0 * ((first == 0) | (second == 0))  # one cluster of twelve has all of it: the mean may rise far
+    means = bootstrap_means(values[:, None], [first, second])[:, 0]
+    low, high = np.quantile(means, ENDS)
+    assert high - values.mean() > 1.2 * (values.mean() - low)
+
+
 def test_a_clustering_within_the_other_changes_nothing() -> None:
     values, labels = clustered(np.random.default_rng(12))
     within = np.arange(len(labels))
