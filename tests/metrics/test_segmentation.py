@@ -46,6 +46,7 @@ def test_no_assignment_is_better(predicted: np.ndarray, true: np.ndarray) -> Non
     assert matched.iou.sum() == pytest.approx(best_of_all(predicted, true), abs=1e-12)
     taken = matched.match[matched.match >= 0]
     assert len(set(taken.tolist())) == len(taken)
+    assert (matched.match >= -1).all()
     for object_mask, mask, share in zip(true, matched.match.tolist(), matched.iou.tolist(), strict=True):
         assert share == (iou(predicted[mask], object_mask) if mask >= 0 else 0)
     if len(true):
