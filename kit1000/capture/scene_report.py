@@ -36,7 +36,7 @@ def report(scene: OwnScene, clearance: float | None) -> Iterator[str]:
     yield "  measure one of them with a ruler: wrong intrinsics or units show here"
     yield from (f"  note: {note}" for note in _notes(scene, clearance))
     if world.gap is not None and world.gap <= 0:
-        yield "  note: no line separates the kit from all parts: move them apart; networks see one side"
+        yield "  note: no line separates the kit from all parts: move them apart; networks see at most one side"
 
 
 def body_text(body: SeenBody) -> str:
