@@ -68,11 +68,11 @@ def _case(scene: RecordedScene) -> Case:
     )
     box = tall, broad
     heights = np.clip(inputs_of(bodies)["restored"][box] / HIGHEST, 0, 1)
-    offset, part = finder.votes(bodies, box)
+    offset, logits = finder.votes(bodies, box)
     vote = np.stack([offset[0], np.zeros_like(offset[0]), offset[1]], axis=-1) / FARTHEST
     pictures = [
         np.repeat(heights[..., None], 3, axis=-1),
-        np.where(part[..., None], np.clip(0.5 + vote / 2, 0, 1), COLOURS[0]),
+        np.where(logits[..., None] > 0, np.clip(0.5 + vote / 2, 0, 1), COLOURS[0]),
         *(_coloured(labels, image.labels)[box] for labels in (rules, network, image.labels)),
     ]
     return float(matched_masks(network, image.labels).iou[1:].mean()), scene.id, pictures
