@@ -51,7 +51,7 @@ def outlined(
     """The kit and the parts with the outlines that the networks see.
 
     Touching parts become several, and bodies of one part become one. A small body that no line separates from the kit
-    is left out if it is a piece of the kit, which a shadow cut off; beside a larger one all bodies stay as they are.
+    joins the kit if it is a piece of it, which a shadow cut off; beside a larger one all bodies stay as they are.
 
     Args:
         table: of the image.
@@ -67,7 +67,10 @@ def outlined(
         return kit, parts  # the networks know scenes in two halves
     found = _found(View(table.image.camera, world.world_from_camera, depth), facts)
     kits = np.asarray(binary_propagation(kit.mask & found.kits, mask=found.kits), bool)  # without specks beside them
-    parts = [part for part in parts if part not in between or not _is_cut_off(table, part, kit, kits)]
+    cut_off = [body for body in between if _is_cut_off(table, body, kit, kits)]
+    if cut_off:
+        kit = measured_body(table, np.any([body.mask for body in (kit, *cut_off)], axis=0))
+    parts = [part for part in parts if part not in cut_off]
     whole = _joined(table, parts + _low_parts(table, bodies, found), found)
     counts = _instance_counts(whole, found.instances)
     pieces = [_pieces(table, *counted, found.instances) for counted in zip(whole, counts, strict=True)]
@@ -102,21 +105,29 @@ def _low_parts(table: Table, bodies: Sequence[SeenBody], found: Found) -> list[S
     logits = np.where(table.image.depth > 0, found.logits, 0.0)
     likely = np.bincount(found.instances.ravel(), logits.ravel()) > LOW_LOGIT * pixels
     low = likely & (pixels >= LOW_PIXELS) & (covered < LOW_COVERED * pixels)
-    masks = (found.instances == number for number in np.flatnonzero(low) if number)
-    return [measured_body(table, mask) for mask in masks if _stands_on_table(table, mask, found.instances == 0)]
+    boxes = find_objects(found.instances)
+    numbers = [number for number in np.flatnonzero(low).tolist() if number]
+    standing = [number for number in numbers if _stands_on_table(table, found.instances, number, boxes[number - 1])]
+    return [measured_body(table, found.instances == number) for number in standing]
 
 
-def _stands_on_table(table: Table, mask: np.ndarray, free: np.ndarray) -> bool:
-    """Whether what a mask (H, W) bool shows is inside the outline of the table, and higher than what is about it.
+def _stands_on_table(table: Table, instances: np.ndarray, number: int, sides: tuple[slice, slice]) -> bool:
+    """Whether an instance is inside the outline of the table, and higher than what is about it.
 
-    free: (H, W) bool, pixels that show no part.
+    What is about it counts as at least one ripple below the plane: a shadow may show nothing but noise.
+
+    Args:
+        table: of the image.
+        instances: (H, W) int.
+        number: of the instance.
+        sides: the box about it.
     """
-    shown, heights = mask & (table.image.depth > 0), table.flat_heights
+    shown, heights = (instances == number) & (table.image.depth > 0), table.flat_heights
     if not shown.any() or np.mean(inside_outline(table.ground(shown), table.outline, EDGE)) < AGREED:
         return False
-    box = tuple(slice(max(side.start - RING[1], 0), side.stop + RING[1]) for side in find_objects(mask.astype(int))[0])
-    near, far = (np.asarray(binary_dilation(mask[box], iterations=reach), bool) for reach in RING)
-    about = heights[box][far & ~near & free[box] & (table.image.depth[box] > 0)]
+    box = tuple(slice(max(side.start - RING[1], 0), side.stop + RING[1]) for side in sides)
+    near, far = (np.asarray(binary_dilation(instances[box] == number, iterations=reach), bool) for reach in RING)
+    about = heights[box][far & ~near & (instances[box] == 0) & (table.image.depth[box] > 0)]
     level = max(float(np.median(about)), -table.ripple) if len(about) else -table.ripple
     return bool(np.mean(heights[shown]) > level + LOW_STEP)
 

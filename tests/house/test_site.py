@@ -22,6 +22,7 @@ import pytest
 from tests.samples.checkout import ROOT
 
 pytest.importorskip("mkdocs", reason="the site is built by mkdocs: pip install 'kit1000[docs]'")
+pytestmark = pytest.mark.slow
 
 CONFIG = ROOT / "mkdocs.yml"
 LOADED = {"script": "src", "img": "src", "source": "src", "iframe": "src", "video": "src", "link": "href"}

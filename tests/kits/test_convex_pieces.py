@@ -102,7 +102,7 @@ def test_a_square_with_a_square_hole_takes_four_pieces() -> None:
     assert len(convex_polygons(ring)) == 4
 
 
-SOLIDS = ["tee", "cover", "bracket", "stepped_shaft"]
+SOLIDS = ["tee", "cover", "bracket", pytest.param("stepped_shaft", marks=pytest.mark.slow)]
 WITHIN = 0.25e-3  # [m]
 
 

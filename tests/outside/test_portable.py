@@ -40,7 +40,7 @@ def test_two_workers_on_an_older_processor_write_the_same_bytes_as_one_here(mini
 
 def roller_poses() -> str:
     """The rest poses of rollers, which amplify differences most: without rounding, two of three would differ."""
-    poses = [rest.world_from_part for rest in drops(part_of(SHAPES["roller"]()), 15)]
+    poses = [rest.world_from_part for rest in drops(part_of(SHAPES["roller"]()), 6)]
     return " ".join(pose.wxyz.tobytes().hex() + pose.xyz.tobytes().hex() for pose in poses)
 
 

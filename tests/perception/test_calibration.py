@@ -234,7 +234,7 @@ def motion_error(motion: Pose, point: np.ndarray, measured: View, true: View) ->
 def cameras(corner: LabelledDepth, request: pytest.FixtureRequest) -> tuple[list[CameraEstimate], bool]:
     """Cameras with errors of their specification, calibrated, and whether by borders of the table too."""
     rng, found = stream(3, "cameras"), []
-    for _ in range(60):
+    for _ in range(30):
         unknowns = rng.normal(size=7) * SPREADS
         wrong = disturbed(corner.view, Pose.from_rotvec(-unknowns[:3], -unknowns[3:6]), float(np.exp(unknowns[6])))
         found.append(camera_estimate(wrong, corner.labels, request.param, PLANE_REACH, BENT))
