@@ -147,8 +147,8 @@ $(RUN): pyproject.toml requirements/run.txt
 $(DEV): $(RUN) requirements/dev.txt
 	@rm -f $(DEV)
 	@echo "installing what tests and lint need into $(VENV)" >&2
-	@$(PIP) install --require-hashes -r requirements/dev.txt
-	@$(PIP) install $(TORCH)
+	@$(PIP) install --no-compile --require-hashes -r requirements/dev.txt
+	@$(PIP) install --no-compile $(TORCH)
 	@touch $(DEV)
 
 $(ENGINE)/.installed: pyproject.toml requirements/run.txt

@@ -25,5 +25,6 @@ if ! has_wheel && ! "$python" -c 'import pybullet' 2>/dev/null >&2; then
     trap 'kill $ticker 2>/dev/null' EXIT
     trap 'exit 130' INT TERM
 fi
-"$python" $pip install --require-hashes -r requirements/run.txt || exit 1
+# Python compiles a module at its first import: compiling all of them takes as long as installing them.
+"$python" $pip install --no-compile --require-hashes -r requirements/run.txt || exit 1
 "$python" $pip install --no-deps --no-build-isolation --editable . || exit 1

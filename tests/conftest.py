@@ -87,13 +87,14 @@ class Times:
             self.seconds[name] = self.seconds.get(name, 0.0) + float(str(dict(report.user_properties)["seconds"]))
 
     def pytest_sessionfinish(self) -> None:
-        cache = self.config.cache
+        cache = getattr(self.config, "cache", None)  # -p no:cacheprovider: there is none
         if cache is not None:
             cache.set(MEASURED, _measured(self.config) | self.seconds)
 
 
 def _measured(config: pytest.Config) -> dict[str, float]:
-    return config.cache.get(MEASURED, None) or {} if config.cache is not None else {}
+    cache = getattr(config, "cache", None)
+    return cache.get(MEASURED, None) or {} if cache is not None else {}
 
 
 def _function(node_id: str) -> str:
