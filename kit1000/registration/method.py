@@ -15,6 +15,7 @@ from kit1000.perception.calibration import CameraEstimate
 from kit1000.perception.image_kinds import IDEAL, ImageKind
 from kit1000.perception.placement import CELLS
 from kit1000.pose import Pose
+from kit1000.registration.contradictions import KitHeights, contradictions
 from kit1000.registration.geometry.cavity import Cavity
 from kit1000.registration.image_refine import ImageFit, plate_patch, refine_in_image
 from kit1000.registration.kit_volume import KitCavities, TrueKits
@@ -25,8 +26,6 @@ from kit1000.registration.refine import Intervals, refine_within
 from kit1000.registration.search import (
     UP,
     Candidate,
-    KitHeights,
-    contradictions,
     find_candidates,
     tries_of,
     within_guess_error,

@@ -54,7 +54,7 @@ class Features(NamedTuple):
     filled: float
     """[mm] RMS of the residuals of the filled part."""
     contradicted: float
-    """[mm] contradiction by the image, see `search.contradictions`."""
+    """[mm] contradiction by the image, see `contradictions.contradictions`."""
     camera: float
     """[mm] standard deviation of the motion by the error left in the camera's pose, beyond that of a usual one."""
     misfit: float | None = None

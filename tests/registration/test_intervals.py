@@ -13,6 +13,7 @@ from scipy.ndimage import distance_transform_edt
 from kit1000.perception.image_kinds import IDEAL
 from kit1000.perception.observed.parts import PartBounds
 from kit1000.pose import Pose
+from kit1000.registration.contradictions import MOST, TOLERANCE, KitHeights, contradictions
 from kit1000.registration.geometry.cavity import BELOW, VOXEL, find_cavity
 from kit1000.registration.geometry.sweeps import CELL, envelope_about
 from kit1000.registration.refine import (
@@ -23,7 +24,6 @@ from kit1000.registration.refine import (
     refine_within,
     sweeps_of,
 )
-from kit1000.registration.search import MOST, TOLERANCE, KitHeights, contradictions
 from kit1000.voxels import Volume
 from tests.samples.registration_cases import CASES, CLEARANCE, Case, case, known_cavity, known_shape, perturbed
 
