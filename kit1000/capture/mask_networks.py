@@ -114,7 +114,7 @@ def _low_parts(table: Table, bodies: Sequence[SeenBody], found: Found) -> list[S
 def _stands_on_table(table: Table, instances: np.ndarray, number: int, sides: tuple[slice, slice]) -> bool:
     """Whether an instance is inside the outline of the table, and higher than what is about it.
 
-    What is about it counts as at least one ripple below the plane: a shadow may show nothing but noise.
+    The level about it is taken as at most one ripple below the plane of the table, also if nothing returned there.
 
     Args:
         table: of the image.

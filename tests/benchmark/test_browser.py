@@ -16,6 +16,7 @@ from kit1000.queries.tracks import TRACKS
 from tests.samples.board import SNAPS, write_board
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
+WIDTHS = (390, 1280)
 READABLE = 4.5  # contrast of text, by WCAG AA
 
 
@@ -67,8 +68,8 @@ def shown(page: Page, track: str = "snap") -> list[str]:
     return rows.all_inner_texts()
 
 
-def test_no_page_is_wider_than_a_phone(opened: Callable[..., Page]) -> None:
-    width = 390
+@pytest.mark.parametrize("width", WIDTHS)
+def test_no_page_is_wider_than_its_window(opened: Callable[..., Page], width: int) -> None:
     for name in ("index.html", "table1.html", "methods/snaps.html", "methods/rotations.html"):
         page = opened(name, width)
         assert page.evaluate("document.documentElement.scrollWidth") == width
