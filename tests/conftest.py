@@ -28,7 +28,7 @@ from kit1000.values import LabelledDepth, Part
 from tests.samples.checkout import ROOT
 from tests.samples.mini import HIDDEN, HIDDEN_SEED, MINI, Published, fake_scene, publish_by_command
 
-settings.register_profile("kit1000", deadline=None, max_examples=30)  # a busy machine may take its time
+settings.register_profile("kit1000", deadline=None, max_examples=12)  # a busy machine may take its time
 settings.load_profile("kit1000")
 
 # The processes of a run share the cores: further threads of torch would busily wait for each other.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from kit1000.errors import MeshRefused, ShapeError
@@ -61,7 +61,6 @@ def test_wrong_arrays_are_rejected_with_what_was_expected(
 
 
 @given(st.integers(0, 10_000), poses())
-@settings(max_examples=20)
 def test_measures_agree_with_trimesh_at_any_pose(seed: int, pose: Pose) -> None:
     mesh = mesh_from_solid(standing(random_solid(seed))).moved(pose)
     peer = other(mesh)
@@ -148,7 +147,6 @@ def test_surface_points_are_uniform_over_the_area() -> None:
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=20)
 def test_hulls_are_exact_at_the_size_of_a_part(seed: int) -> None:
     """In metres the hull of manifold3d is off by micrometres: compare facets and volume."""
     points = np.random.default_rng(seed).normal(0, 0.01, (60, 3))

@@ -8,7 +8,7 @@ import sys
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from kit1000.errors import InputError
@@ -25,7 +25,6 @@ def first(root: int, *key: int | str) -> list[int]:
 
 
 @given(ROOTS, KEYS, ROOTS, KEYS)
-@settings(max_examples=50)
 def test_other_addresses_give_other_streams(root: int, key: tuple, other_root: int, other_key: tuple) -> None:
     if (root, key) != (other_root, other_key):
         assert first(root, *key) != first(other_root, *other_key)

@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmark.curve_charts import COLUMNS, figure, write_curves
@@ -55,7 +55,6 @@ def test_levels_are_those_of_the_dataset() -> None:
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=20)
 def test_every_row_follows_its_definition_in_any_order(seed: int) -> None:
     position, rotation = drawn_errors(len(IDS))
     order = stream(seed, "order").permutation(len(IDS))

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike
 from scipy.stats import binomtest
@@ -96,7 +96,6 @@ def reference_means(values: np.ndarray, labels: np.ndarray, draws: int, seed: in
     return means
 
 
-@settings(max_examples=30)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 30), st.integers(1, 40))
 def test_resampling_equals_a_plain_implementation(seed: int, clusters: int, draws: int) -> None:
     values, labels = clustered(np.random.default_rng(seed), clusters)

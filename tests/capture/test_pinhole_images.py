@@ -27,7 +27,7 @@ def test_an_image_near_the_focal_length_stays_as_it_is() -> None:
     assert image.enlarged == 1
 
 
-@settings(deadline=None, max_examples=10)
+@settings(max_examples=10)
 @given(st.floats(300, 2200), st.integers(70, 200), st.integers(70, 200))
 def test_every_pixel_has_a_recorded_depth_that_its_ray_met(fx: float, width: int, height: int) -> None:
     fx = min(fx, 20.0 * width)  # longer ones are of no depth camera

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from kit1000.dataset.geometry import JsonObject
@@ -82,20 +82,17 @@ def test_a_pose_comes_back_to_the_bit(pose: Pose) -> None:
     Symmetry.free([0.58866186, 0.58866186, 0.55403469]), 1.0, {}
 )  # once an axis that changed a bit at each reading
 @given(SYMMETRIES, POSITIVE, st.dictionaries(st.text(), st.floats(allow_nan=False, allow_infinity=False)))
-@settings(max_examples=50)
 def test_a_part_comes_back_to_the_bit(symmetry: Symmetry, mass: float, dimensions: dict[str, float]) -> None:
     part = Part("part", "family", MESH, symmetry, dimensions, mass)
     assert_same(part_of("part", through_json(part_row(part)), MESH), part)
 
 
 @given(kits())
-@settings(max_examples=50)
 def test_a_kit_comes_back_to_the_bit(kit: Kit) -> None:
     assert_same(kit_of("kit", through_json(kit_row(kit)), MESH), kit)
 
 
 @given(kits(), poses(), poses())
-@settings(max_examples=20)
 def test_an_assembly_comes_back_to_the_bit(kit: Kit, first: Pose, second: Pose) -> None:
     assembly = Assembly("assembly", MESH, (Mount(kit, first), Mount(kit, second)))
     assert_same(assembly_of("assembly", through_json(assembly_row(assembly)), MESH, lambda _: kit), assembly)

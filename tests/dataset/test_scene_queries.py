@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from scipy.spatial.transform import Rotation
 
 from kit1000.dataset.json_rows import pose_of
@@ -135,7 +135,6 @@ def test_another_part_is_drawn_uniformly_where_the_target_has_no_query() -> None
     assert min(picked.values()) >= 6
 
 
-@settings(max_examples=60)
 @given(poses())
 def test_roll_and_pitch_are_those_of_scipy(pose: Pose) -> None:
     roll, pitch, _ = _scipy_angles(pose)

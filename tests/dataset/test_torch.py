@@ -79,7 +79,7 @@ def test_a_missing_guess_is_nan_and_without_the_truth_there_are_no_targets(data:
 
 
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
-@pytest.mark.parametrize(("make", "start"), [(drawing_item, "fork"), (depth_item, "fork"), (depth_item, "spawn")])
+@pytest.mark.parametrize(("make", "start"), [(drawing_item, "fork"), (depth_item, "spawn")])
 def test_any_number_of_workers_gives_the_same_bytes(make, start: str, train: Split) -> None:
     items = QueryDataset(train, "snap", make, seed=3)
     items.epoch = 5

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from kit1000.cli import main
@@ -50,7 +50,6 @@ def apart(one: Pose, other: Pose) -> float:
     return float(np.abs(one.matrix() - other.matrix()).max())
 
 
-@settings(max_examples=25)
 @given(turn=vectors, shift=vectors, pick_turn=vectors, pick_shift=vectors)
 def test_a_part_moves_as_the_cup_does_from_pick_to_place(
     mini: Path,

@@ -48,7 +48,6 @@ def frames(move: Move) -> list[FramedMove]:
     return [move.world, move.camera, *([] if move.base is None else [move.base])]
 
 
-@settings(max_examples=15)
 @given(move=moves())
 def test_each_frame_is_consistent_and_all_frames_agree(move: Move) -> None:
     for framed in frames(move):

@@ -8,7 +8,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from manifold3d import Manifold
 from numpy.typing import ArrayLike
@@ -84,7 +84,6 @@ def test_draws_use_the_whole_range() -> None:
 
 
 @given(plans(st.floats(0, 45 * DEGREE)))
-@settings(max_examples=50)
 def test_world_tilts_are_those_of_the_mounts(plan: AssemblyPlan) -> None:
     mounts = place_kits([sample_kit("foot")] * (1 + len(plan.sides)), plan)
     up = np.array([mount.assembly_from_kit.rotate((0, 0, 1))[2] for mount in mounts])
@@ -93,7 +92,6 @@ def test_world_tilts_are_those_of_the_mounts(plan: AssemblyPlan) -> None:
 
 
 @given(plans(st.one_of(st.just(45 * DEGREE), st.floats(10 * DEGREE, 45 * DEGREE))))
-@settings(max_examples=50)
 def test_plates_never_intersect(plan: AssemblyPlan) -> None:
     mounts = place_kits([sample_kit("foot")] * (1 + len(plan.sides)), plan)
     blocks = [block(mount) for mount in mounts]
@@ -104,7 +102,6 @@ def test_plates_never_intersect(plan: AssemblyPlan) -> None:
 
 
 @given(plans(st.floats(10 * DEGREE, 45 * DEGREE)).filter(lambda plan: world_tilts(plan).max() <= 45 * DEGREE))
-@settings(max_examples=40)
 def test_supports_are_convex_overlap_the_plates_and_no_cavity(plan: AssemblyPlan) -> None:
     mounts = place_kits([sample_kit("foot")] * (1 + len(plan.sides)), plan)
     pieces = support_pieces(mounts)
@@ -121,7 +118,6 @@ def test_supports_are_convex_overlap_the_plates_and_no_cavity(plan: AssemblyPlan
 
 
 @given(plans(st.floats(10 * DEGREE, 45 * DEGREE)).filter(lambda plan: world_tilts(plan).max() <= 45 * DEGREE))
-@settings(max_examples=40)
 def test_no_wall_is_thinner_than_three_millimetres(plan: AssemblyPlan) -> None:
     mounts = place_kits([sample_kit("foot")] * (1 + len(plan.sides)), plan)
     for piece in support_pieces(mounts):

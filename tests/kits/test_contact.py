@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from manifold3d import Manifold
 from scipy.ndimage import maximum_filter
@@ -48,7 +48,6 @@ def overlap(moving: Mesh, fixed: Mesh, pose: Pose, offset: float) -> float:
 
 
 @given(SEEDS)
-@settings(max_examples=60)
 def test_just_above_contact_bodies_are_apart_and_just_below_they_are_not(seed: int) -> None:
     moving, fixed, pose = drawn(seed)
     offset = offset_of(moving, fixed, pose)
@@ -58,7 +57,6 @@ def test_just_above_contact_bodies_are_apart_and_just_below_they_are_not(seed: i
 
 
 @given(SEEDS)
-@settings(max_examples=40)
 def test_the_envelope_of_a_grid_is_the_lowest_of_plain_vertical_rays(seed: int) -> None:
     mesh = body(seed % 12)
     heights, corner = lower_envelope(mesh, 0.7e-3)

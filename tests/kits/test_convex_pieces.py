@@ -7,7 +7,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from manifold3d import CrossSection, FillRule, Manifold, triangulate
 
@@ -76,7 +76,6 @@ def test_a_seated_part_overlaps_no_piece(family: str) -> None:
 
 
 @given(st.integers(0, 2**32), st.integers(3, 40), st.integers(0, 3))
-@settings(max_examples=50)
 def test_polygons_are_convex_and_add_up_to_the_section(seed: int, corners: int, holes: int) -> None:
     rng = np.random.default_rng(seed)
     section = star(rng, corners)

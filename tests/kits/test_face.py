@@ -7,7 +7,7 @@ from itertools import pairwise, product
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from manifold3d import Manifold
 from trimesh.poses import compute_stable_poses
@@ -60,7 +60,6 @@ def test_probabilities_agree_with_another_package(name: str) -> None:
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=20)
 def test_probabilities_add_up_to_one(seed: int) -> None:
     faces = resting_faces(as_part(random_solid(seed)).mesh, min_probability=0.0)
     assert sum(face.probability for face in faces) == pytest.approx(1)
@@ -68,7 +67,6 @@ def test_probabilities_add_up_to_one(seed: int) -> None:
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=20)
 def test_the_part_stands_stably_on_every_face(seed: int) -> None:
     """The centre of mass lies over the convex hull of what touches the table, and the height is that of the part."""
     body = as_part(random_solid(seed)).mesh

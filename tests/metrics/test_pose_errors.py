@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import kit1000.metrics as metrics
@@ -19,7 +19,6 @@ from kit1000.testing import moved_truth
 from kit1000.values import FreeAxis, Slot, Truth
 from tests.samples.strategies import directions, poses, vectors
 
-laws = settings(max_examples=40)
 EXACT = 1e-9  # [m], [rad] largest error at a right goal
 FINE = 2 * np.pi / 3600  # [rad] between the angles that brute force tries
 FIELDS = [field.name for field in fields(PoseErrors)]
@@ -139,7 +138,6 @@ def least_of_samples(predicted: Pose, truth: Truth, hull: np.ndarray) -> np.ndar
     return least
 
 
-@laws
 @given(st.integers(1, 5), st.booleans(), st.integers(0, 20), st.floats(-10, 10), poses())
 def test_every_right_goal_has_no_error(goals: int, free: bool, seed: int, angle: float, world: Pose) -> None:
     """To 1e-9 m and rad, at any angle about the free axis, in any world frame."""
@@ -156,7 +154,6 @@ def test_every_right_goal_has_no_error(goals: int, free: bool, seed: int, angle:
     assert free or (errors.goal == np.arange(goals)).all()
 
 
-@laws
 @given(vectors(0.02), directions(), st.floats(0, np.pi))
 def test_errors_against_one_goal_equal_their_closed_form(shift: np.ndarray, axis: np.ndarray, angle: float) -> None:
     truth = truth_of(1, False)

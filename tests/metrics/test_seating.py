@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from manifold3d import Manifold
 
@@ -35,7 +35,6 @@ from tests.samples.exact_offset import contact_offset_by_booleans, swept_solid
 from tests.samples.kits import QUICK, sample_kit, sample_part
 from tests.samples.shapes import cylinder, seated
 
-laws = settings(max_examples=40)
 KIT_PITCH = 0.15  # [m] between two kits of an assembly
 ASSEMBLY_IDS = [f"{a}+{b}" for a, b in zip(QUICK, [*QUICK[1:], QUICK[0]], strict=True)]
 UP = np.array([0.0, 0.0, 1.0])
@@ -212,7 +211,6 @@ def test_the_swept_volume_of_a_thread_overlaps_itself_and_still_detects_collisio
     assert swept_volume.is_collision_free(ball.translate((0, 0, 50e-3)), Pose.identity(), 0.0)
 
 
-@laws
 @given(st.integers(0, 10_000))
 def test_a_swept_volume_is_collision_free_from_contact_on(seed: int) -> None:
     """Closed form and booleans agree on both sides of contact."""
@@ -227,7 +225,6 @@ def test_a_swept_volume_is_collision_free_from_contact_on(seed: int) -> None:
     assert not swept_volume.is_collision_free(plate, pose, offset - BISECTION_STEP / 2)
 
 
-@laws
 @given(st.floats(-5e-3, 5e-3), st.floats(-4e-3, 4e-3), st.floats(-1, 1), st.floats(4e-3, 20e-3))
 def test_a_contact_interval_holds_the_offsets_that_pass_the_seating_test(
     height: float, offset: float, cosine: float, depth: float

@@ -6,7 +6,7 @@ from itertools import permutations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
@@ -40,7 +40,6 @@ def best_of_all(predicted: np.ndarray, true: np.ndarray) -> float:
 
 
 @given(predicted=masks(3), true=nonempty_masks(3))
-@settings(max_examples=50)
 def test_no_assignment_is_better(predicted: np.ndarray, true: np.ndarray) -> None:
     matched = matched_masks(predicted, true)
     assert matched.iou.sum() == pytest.approx(best_of_all(predicted, true), abs=1e-12)
@@ -54,7 +53,6 @@ def test_no_assignment_is_better(predicted: np.ndarray, true: np.ndarray) -> Non
 
 
 @given(predicted=masks(3), true=nonempty_masks(3))
-@settings(max_examples=50)
 def test_unmatched_masks_cost_nothing_and_unmatched_objects_count_zero(predicted: np.ndarray, true: np.ndarray) -> None:
     if not len(true):
         return

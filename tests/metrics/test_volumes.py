@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
@@ -95,7 +95,6 @@ def test_volumes_without_known_or_occupied_voxels() -> None:
 
 
 @given(pose=poses(), scale=st.floats(0.1, 10))
-@settings(max_examples=20)
 def test_the_distance_equals_all_pairs_in_any_world_frame_and_scale(pose: Pose, scale: float) -> None:
     rng = np.random.default_rng(0)
     a, b = rng.normal(size=(40, 3)), rng.normal(size=(60, 3)) + 0.3

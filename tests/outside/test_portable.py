@@ -33,6 +33,7 @@ def on_an_older_processor(code: str, *arguments: str) -> str:
     return subprocess.run(command, env=environment, check=True, capture_output=True, text=True).stdout
 
 
+@pytest.mark.slow
 def test_two_workers_on_an_older_processor_write_the_same_bytes_as_one_here(mini: Path, tmp_path: Path) -> None:
     on_an_older_processor(GENERATE_MINI, str(tmp_path / "mini"))
     assert file_hashes(tmp_path / "mini") == file_hashes(mini)

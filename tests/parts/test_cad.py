@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from manifold3d import CrossSection, Manifold
 
@@ -16,7 +16,6 @@ from kit1000.parts import cad
 ROUND = 4e-3
 """Relative loss of an area or volume when inscribed polygons stand for circles."""
 LENGTHS = st.floats(4.0, 40.0)
-few_examples = settings(max_examples=30)
 
 
 def _closed(solid: Manifold) -> Manifold:
@@ -49,7 +48,6 @@ def test_profile_has_the_area_of_the_formula(drawn: Callable[[], CrossSection], 
 
 
 @given(radius=st.floats(0.2, 60.0))
-@few_examples
 def test_circle_is_fine_enough_and_evenly_divided(radius: float) -> None:
     n = cad.circle_segments(radius)
     assert n % 4 == 0
@@ -70,7 +68,6 @@ def test_gear_repeats_and_lies_between_root_and_tip(teeth: int) -> None:
 
 
 @given(x=LENGTHS, y=LENGTHS, z=LENGTHS)
-@few_examples
 def test_box_stands_on_the_floor(x: float, y: float, z: float) -> None:
     block = _closed(cad.box(x, y, z))
     assert block.volume() == pytest.approx(x * y * z)
@@ -78,7 +75,6 @@ def test_box_stands_on_the_floor(x: float, y: float, z: float) -> None:
 
 
 @given(d=LENGTHS, h=LENGTHS)
-@few_examples
 def test_solids_of_revolution_have_the_volume_of_the_formula(d: float, h: float) -> None:
     full = np.pi * d**2 / 4 * h
     assert _closed(cad.cylinder(d, h)).volume() == pytest.approx(full, rel=3 * ROUND)
@@ -94,7 +90,6 @@ def test_chamfer_of_a_box_removes_the_volume_of_the_formula() -> None:
 
 
 @given(wanted=st.floats(0.1, 30.0))
-@few_examples
 def test_a_chamfer_too_large_for_the_profile_is_reduced(wanted: float) -> None:
     bar = _closed(cad.prism(cad.ring(30, 24) - cad.rectangle(50, 4), 10, chamfer=wanted))
     assert len(bar.decompose()) == 2
@@ -114,7 +109,6 @@ def test_laid_solid_points_along_its_axis_with_its_y_up(axis: cad.Axis, tip: tup
 
 
 @given(nx=st.integers(1, 4), ny=st.integers(1, 3))
-@few_examples
 def test_each_drilled_hole_adds_one_to_the_genus(nx: int, ny: int) -> None:
     plate = _closed(cad.drill(cad.box(50, 50, 5), 6, cad.grid(nx, ny, 10, 10)))
     assert plate.genus() == nx * ny

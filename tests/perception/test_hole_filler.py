@@ -140,6 +140,7 @@ def test_the_loss_reads_nothing_but_holes(mini: Path) -> None:
     assert 0 <= float(measures["far_hole"]) <= 1
 
 
+@pytest.mark.slow
 def test_registration_fills_holes_of_scanners_alone(mini: Path) -> None:
     dataset = Dataset(mini)
     with_network, by_rules = Registration(dataset, hole_filling=WEIGHTS / "hole-filling"), Registration(dataset)

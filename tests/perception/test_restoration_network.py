@@ -188,6 +188,7 @@ def test_the_network_mends_what_rules_leave(mini: Path) -> None:
     assert network[1] < 0.95 * rules[1]  # both keep what calibration leaves of so few images
 
 
+@pytest.mark.slow
 def test_registration_reads_noisy_images_through_it_and_exact_ones_as_they_are(mini: Path) -> None:
     dataset = Dataset(mini)
     with_network, by_rules = Registration(dataset, restoration=WEIGHTS / "restoration"), Registration(dataset)

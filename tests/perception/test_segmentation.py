@@ -10,7 +10,7 @@ from typing import cast
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import label
 
@@ -159,7 +159,6 @@ def test_of_very_many_pieces_the_largest_are_kept_in_their_order() -> None:
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=25, deadline=None)
 def test_components_without_any_step_are_those_of_scipy(seed: int) -> None:
     mask = np.random.default_rng(seed).random((9, 12)) < 0.6
     everywhere = [np.ones((8, 12), bool), np.ones((9, 11), bool)]
@@ -234,7 +233,6 @@ def task(mini: Path) -> CentresTask:
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=30, deadline=None)
 def test_exact_votes_tell_parts_apart(seed: int) -> None:
     """Also of parts that touch, or that others cut into pieces; the more so with noise of a few pixels."""
     rng = np.random.default_rng(seed)

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from torch import nn
 
@@ -115,7 +115,6 @@ def test_shared_weights_are_written_for_each_name(stem: Path) -> None:
 
 
 @given(place=st.floats(0, 1, exclude_max=True), flip=st.integers(1, 255))
-@settings(max_examples=30)
 def test_any_changed_byte_of_weights_is_noticed(
     tmp_path_factory: pytest.TempPathFactory, place: float, flip: int
 ) -> None:

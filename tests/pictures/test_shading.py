@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from kit1000.camera import Camera
@@ -59,7 +59,6 @@ def brightness(image: np.ndarray) -> np.ndarray:
     return image.astype(float).mean(axis=2)
 
 
-@settings(max_examples=40)
 @given(
     st.integers(0, 2**32 - 1),
     st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-1, 1)).filter(lambda d: np.linalg.norm(d) > 0.1),
@@ -198,7 +197,6 @@ def unlit(colour: tuple[int, int, int]) -> np.ndarray:
     return np.array(colour) / sum(colour)
 
 
-@settings(max_examples=30)
 @given(seed=st.integers(0, 2**32 - 1), share=st.floats(0.0, 1.0))
 def test_holes_are_ink(seed: int, share: float) -> None:
     rng = np.random.default_rng(seed)

@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
@@ -36,7 +36,6 @@ from kit1000.values import FIRST_PART_LABEL, FreeAxis, Slot, View
 from tests.samples.strategies import directions, poses, vectors
 
 DRAWS = 2000
-laws = settings(max_examples=40)
 MIN_P_VALUE = 1e-3  # of a test of a distribution; the seed is fixed
 
 
@@ -64,7 +63,6 @@ def is_close(a: Pose, b: Pose, tolerance: float = 1e-12) -> bool:
     return bool(np.abs(a.xyz - b.xyz).max() < tolerance and quaternion_angle(a.wxyz, b.wxyz) < tolerance)
 
 
-@laws
 @given(poses(), vectors(), vectors(0.05), directions(), st.floats(0, 3))
 def test_error_of_reads_back_an_applied_error(
     goal: Pose, pivot: np.ndarray, offset: np.ndarray, axis: np.ndarray, angle: float
@@ -74,7 +72,6 @@ def test_error_of_reads_back_an_applied_error(
     assert np.abs(found[1] - angle * axis).max() < 1e-12
 
 
-@laws
 @given(poses(), vectors(), vectors(0.05), directions(), st.floats(0, 3))
 def test_a_guess_is_the_product_in_the_docs(
     goal: Pose, pivot: np.ndarray, offset: np.ndarray, axis: np.ndarray, angle: float
@@ -85,7 +82,6 @@ def test_a_guess_is_the_product_in_the_docs(
     assert is_close(apply_error(goal, pivot, offset, angle * axis), product)
 
 
-@laws
 @given(poses(), poses(), vectors(), vectors(0.05), directions(), st.floats(0, 3))
 def test_a_guess_moves_with_the_world(
     moved_from_world: Pose, goal: Pose, pivot: np.ndarray, offset: np.ndarray, axis: np.ndarray, angle: float
@@ -102,7 +98,6 @@ def test_a_guess_moves_with_the_world(
     assert is_close(moved, moved_from_world @ guess @ world_from_moved, 1e-11)
 
 
-@laws
 @given(poses(), vectors(), vectors(), directions())
 def test_the_offset_at_the_pivot_does_not_depend_on_the_rotation(
     goal: Pose, pivot: np.ndarray, offset: np.ndarray, rotvec: np.ndarray
@@ -154,7 +149,6 @@ def test_angles_about_a_free_axis_are_uniform() -> None:
     assert is_uniform(np.array([draw_goal(rng, round_slot)[1] for _ in range(DRAWS)]), 0, 2 * np.pi)
 
 
-@laws
 @given(st.floats(-7, 7))
 def test_a_goal_at_an_angle_is_that_goal_rotated_about_the_axis(angle: float) -> None:
     round_slot = slot(free=True)
@@ -172,7 +166,6 @@ def test_a_slot_without_an_axis_rejects_an_angle() -> None:
         goal_pose(slot(), 0, 0.1)
 
 
-@laws
 @given(poses(), poses())
 def test_a_goal_motion_moves_the_part_to_its_goal(world_from_part: Pose, world_from_kit: Pose) -> None:
     kit_from_part = slot().kit_from_part

@@ -7,7 +7,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from kit1000.mesh import mesh_from_solid
@@ -116,7 +116,6 @@ SCORES = st.floats(-30, 30)
 
 
 @given(own=SCORES, more=st.floats(0, 10), rival=SCORES)
-@settings(deadline=None)
 def test_confidence_rises_with_the_score_and_falls_with_that_of_a_rival(own: float, more: float, rival: float) -> None:
     known = case("a keyed block")
     low, high, other = at(known, score=own), at(known, score=own + more), at(known, angle=np.pi, score=rival)
@@ -179,7 +178,6 @@ def test_a_top_that_is_nearly_level_is_tried_as_it_is(slope_deg: float) -> None:
 
 
 @given(tilt_deg=st.floats(0, 180), turn=st.floats(-3, 3), yaw=st.floats(-3, 3))
-@settings(max_examples=20, deadline=None)
 def test_a_part_goes_in_on_the_face_on_which_it_lies_where_the_guess_allows_that(
     tilt_deg: float, turn: float, yaw: float
 ) -> None:

@@ -20,7 +20,6 @@ ANGLE = np.radians(6)
 
 
 @given(pose=poses(), shown=st.sampled_from(list(combinations(range(3), 2))))
-@settings(max_examples=12)
 def test_two_faces_of_a_box_tell_all_six(pose: Pose, shown: tuple[int, int]) -> None:
     axes = pose.rotation_matrix().T
     normals = right_angled([axes[i] for i in shown], np.radians(4))
@@ -49,7 +48,7 @@ def square(pose: Pose, half: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 @given(pose=poses(), tilt=st.floats(0.2, 0.6), turn=st.floats(-3, 3))
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 def test_a_slope_within_a_plate_is_none_and_one_beside_it_is(pose: Pose, tilt: float, turn: float) -> None:
     slope = Pose.from_rotvec(tilt * np.array([np.cos(turn), np.sin(turn), 0]))
     places = [Pose.identity(), Pose.from_translation((0, 0, -0.012)) @ slope]

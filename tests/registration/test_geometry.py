@@ -8,7 +8,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from kit1000.mesh import Mesh, solid_from_mesh
@@ -178,7 +178,6 @@ def axes_of(pose: Pose) -> np.ndarray:
 
 
 @given(size=st.tuples(*[st.floats(5e-3, 50e-3)] * 3), pose=poses())
-@settings(max_examples=50)
 def test_a_box_stands_on_its_six_faces(size: tuple[float, ...], pose: Pose) -> None:
     faces = standing_faces(corner_points(np.array(size), pose), pose.xyz, np.radians(4))
     x, y, z = size
@@ -190,7 +189,6 @@ def test_a_box_stands_on_its_six_faces(size: tuple[float, ...], pose: Pose) -> N
 
 
 @given(pose=poses(), beyond=st.floats(1.2e-3, 5e-3), axis=st.integers(0, 2))
-@settings(max_examples=30)
 def test_a_box_with_its_middle_outside_a_face_stands_on_two_faces(pose: Pose, beyond: float, axis: int) -> None:
     """The middle is moved out through one face: it projects onto this face and its opposite only."""
     middle = np.zeros(3)
@@ -210,7 +208,6 @@ def test_points_without_extent_have_no_face(points: np.ndarray) -> None:
 
 
 @given(now=poses(), plate=poses(), guess=poses(), angle=st.floats(0.01, MAX_ANGLE))
-@settings(max_examples=40)
 def test_every_rotation_near_the_guess_is_near_a_searched_one(
     now: Pose, plate: Pose, guess: Pose, angle: float
 ) -> None:
@@ -230,7 +227,6 @@ def test_every_rotation_near_the_guess_is_near_a_searched_one(
 
 
 @given(now=poses())
-@settings(max_examples=20)
 def test_without_a_guess_all_yaws_are_searched(now: Pose) -> None:
     """All of them turn the chosen face down."""
     down = now.rotate(UP)
@@ -243,7 +239,6 @@ def test_without_a_guess_all_yaws_are_searched(now: Pose) -> None:
 
 
 @given(seed=st.integers(0, 50), most=st.integers(1, 6))
-@settings(max_examples=30)
 def test_kept_candidates_are_no_duplicates_and_the_others_are(seed: int, most: int) -> None:
     rng = np.random.default_rng(seed)
     plate = find_cavity(*on_a_plate(ell_kit().kit().mesh, IDENTITY), IDEAL.noise)

@@ -20,7 +20,7 @@ IDENTITY = Pose.identity()
 
 
 @given(pose=poses(), along=quaternions())
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 def test_the_envelope_is_that_of_every_sample_read(pose: Pose, along: np.ndarray) -> None:
     """Bit for bit: samples below the box of values other than 1, which are not read, change no step."""
     grid = Grid.centred(Pose.from_translation(pose.xyz), (64, 64, 64), 1e-3)
@@ -70,14 +70,12 @@ def spotted(seed: int, n: int = 17) -> np.ndarray:
 
 
 @given(cells=st.integers(0, 5), seed=st.integers(0, 99))
-@settings(max_examples=20)
 def test_dilation_by_whole_cells_is_the_minimum_in_a_disc(cells: int, seed: int) -> None:
     image = spotted(seed)
     np.testing.assert_array_equal(dilated(image, 0.5e-3, cells * 0.5e-3), lowest_around(image, cells + 0.5))
 
 
 @given(clearance=st.floats(0, 2.5e-3), seed=st.integers(0, 99))
-@settings(max_examples=20)
 def test_dilation_reaches_the_clearance_to_within_half_a_cell(clearance: float, seed: int) -> None:
     image, cell = spotted(seed), 0.5e-3
     bigger = dilated(image, cell, clearance)

@@ -37,7 +37,7 @@ for sensor in ("d415", "photoneo"):
     view = calibrated_by(image.view, image.labels, simulated_sensor(sensor))
     pose = view.world_from_camera
     print(sensor, pose.wxyz.tolist(), pose.xyz.tolist(), sha256(view.depth.tobytes()).hexdigest())
-for track, source in (("snap", "depth"), ("snap", "columns"), ("place", "truth")):
+for track, source in (("snap", "depth"), ("place", "truth")):
     scenes = data.split("train", truth=True)
     scene, query = next((scene, query) for scene in scenes for query in scene.queries if query.track == track)
     true = data.geometry.true_geometry(scene.truth_of(query.id)) if source == "truth" else None
@@ -90,7 +90,7 @@ def printed(code: str, mini: Path) -> tuple[str, str]:
 
 def test_predictions_do_not_depend_on_the_processor(mini: Path) -> None:
     here, there = printed(CODE, mini)
-    assert here.count("\n") == 5
+    assert here.count("\n") == 4
     assert here == there
 
 

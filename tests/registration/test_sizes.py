@@ -83,7 +83,7 @@ def test_a_part_larger_than_the_grid_of_the_network_is_completed_in_larger_cells
     assert occupancy_iou(found, exact) > 0.85
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 @given(st.floats(0.02, 0.1), st.floats(0, 12e-3), st.integers(0, 99))
 def test_an_image_holds_the_part_and_its_clearance_in_any_rotation(longest: float, clearance: float, seed: int) -> None:
     part = cuboid((longest, 0.02, 0.015))
@@ -114,7 +114,7 @@ def test_distances_from_a_sweep_are_exact_beyond_the_clearance(clearance: float)
         assert sweep.distance[layer].max() >= clearance + BEYOND - CELL
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(st.floats(0.02, 0.12), st.floats(1e-3, 10e-3), st.floats(-1, 1), st.floats(-1, 1))
 def test_a_plates_map_holds_the_cavity_wherever_a_guess_is(length: float, clearance: float, x: float, y: float) -> None:
     part = cuboid((length, 0.02, 0.015))

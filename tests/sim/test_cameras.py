@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import kstest
 
@@ -114,7 +114,6 @@ def test_the_primary_set_needs_the_pose_of_the_primary_camera():
         camera_set("primary")
 
 
-@settings(max_examples=60)
 @given(poses(), st.integers(0, 2**32 - 1), st.floats(0, 50))
 def test_points_are_in_view_if_each_projects_inside_the_margin(pose: Pose, seed: int, margin: float):
     rng = np.random.default_rng(seed)

@@ -8,7 +8,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from manifold3d import CrossSection, FillRule
 from scipy.spatial import ConvexHull
@@ -79,7 +79,6 @@ def test_each_part_is_upright_with_a_share_of_exactly_six_tenths(n: int) -> None
 
 
 @given(seed=st.integers(0, 2**32), n=st.integers(1, 5))
-@settings(max_examples=40)
 def test_drop_points_separate_parts_of_any_rotation(seed: int, n: int) -> None:
     points = draw_layout(stream(seed), (TUMBLED,) * n).drop_points
     assert ((points >= DROP_BOUNDS[0]) & (points <= DROP_BOUNDS[1])).all()
@@ -103,7 +102,6 @@ def test_a_layout_of_another_scale_is_the_same_draw_with_other_lengths() -> None
 
 
 @given(seed=st.integers(0, 1000))
-@settings(max_examples=12)
 def test_all_bodies_are_on_their_halves_and_separate(seed: int) -> None:
     _, layout = first_layout(seed)
     outlines = [footprint(part.mesh, pose) for (part, _), pose in zip(pairs(), layout.world_from_parts, strict=True)]
@@ -119,7 +117,6 @@ def test_all_bodies_are_on_their_halves_and_separate(seed: int) -> None:
 
 
 @given(seed=st.integers(0, 1000))
-@settings(max_examples=12)
 def test_upright_parts_rest_as_they_are_inserted_at_the_drawn_yaw_and_point(seed: int) -> None:
     draw, layout = first_layout(seed)
     for i, (part, slot) in enumerate(pairs()):
@@ -131,7 +128,6 @@ def test_upright_parts_rest_as_they_are_inserted_at_the_drawn_yaw_and_point(seed
 
 
 @given(seed=st.integers(0, 1000))
-@settings(max_examples=12)
 def test_parts_are_pushed_together_as_they_came_to_rest(seed: int) -> None:
     draw, apart = first_layout(seed)
     together = simulate_layout(sample_assembly(), pairs(), replace(draw, crowding=draw_crowding(stream(seed), 3)))
@@ -158,7 +154,6 @@ def test_a_crowded_draw_is_the_uncrowded_one_and_more() -> None:
 
 
 @given(yaw=st.floats(0, 6.28), shift=st.tuples(st.floats(-1, 1), st.floats(-1, 1)), n=st.integers(1, 4))
-@settings(max_examples=12)
 def test_the_kits_are_on_their_half_for_every_draw(yaw: float, shift: tuple[float, float], n: int) -> None:
     draw = replace(draw_layout(stream(0), ()), assembly_yaw=yaw, assembly_shift=np.array(shift))
     layout = simulate_layout(sample_assembly(n), [], draw)
@@ -217,7 +212,6 @@ def outlines(seed: int, n: int) -> list[np.ndarray]:
 
 
 @given(seed=st.integers(0, 100_000), n=st.integers(2, 5))
-@settings(max_examples=60)
 def test_parts_come_close_and_never_into_each_other(seed: int, n: int) -> None:
     apart, crowding = outlines(seed, n), draw_crowding(stream(seed), n)
     together = [o + shift for o, shift in zip(apart, pushed_together(apart, crowding, REGION), strict=True)]
@@ -231,7 +225,6 @@ def test_parts_come_close_and_never_into_each_other(seed: int, n: int) -> None:
 
 
 @given(seed=st.integers(0, 100_000))
-@settings(max_examples=40)
 def test_of_two_parts_the_second_lies_at_its_gap_in_its_direction(seed: int) -> None:
     apart, crowding = outlines(seed, 2), draw_crowding(stream(seed), 2)
     a, b = (o + shift for o, shift in zip(apart, pushed_together(apart, crowding, REGION), strict=True))

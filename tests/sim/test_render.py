@@ -13,7 +13,7 @@ import pytest
 import trimesh
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import maximum_filter, minimum_filter
 
@@ -124,7 +124,6 @@ def test_pixel_centres_are_at_integers():
     assert ids.sum() == 16 * 16
 
 
-@settings(max_examples=12)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.3, 1.0, 3.0]))
 def test_agrees_with_brute_force_rays(seed: int, distance: float):
     """Also with the camera among the bodies, where faces cross the near plane or lie behind it."""
@@ -138,7 +137,6 @@ def test_agrees_with_brute_force_rays(seed: int, distance: float):
     np.testing.assert_array_equal(image.face_ids[clear], faces[clear])
 
 
-@settings(max_examples=25)
 @given(st.integers(0, 2**32 - 1))
 def test_a_closed_surface_has_no_cracks(seed: int):
     """From inside a ball every pixel sees it, for every subdivision and every camera pose."""
@@ -160,7 +158,6 @@ def test_each_pixel_on_a_shared_edge_is_covered_once():
     np.testing.assert_array_equal(one, 3 - other)
 
 
-@settings(max_examples=20)
 @given(st.integers(0, 2**32 - 1))
 def test_the_order_of_bodies_changes_no_pixel(seed: int):
     rng = np.random.default_rng(seed)
@@ -180,7 +177,6 @@ def test_the_number_of_threads_changes_no_bit(threads: int):
 
 
 @given(seed=st.integers(0, 2**32 - 1), distance=st.floats(0.05, 0.4))
-@settings(max_examples=20, deadline=None)
 def test_inverse_depths_are_those_of_the_render(seed: int, distance: float):
     pose = Pose(random_quaternions(np.random.default_rng(seed), 1)[0], np.array([0.0, 0.0, distance]))
     body = box(0.1, 0.2, 0.3)  # part of it may be behind the camera

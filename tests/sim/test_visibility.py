@@ -64,7 +64,6 @@ def larger(camera: Camera, rim: int) -> Camera:
     )
 
 
-@settings(max_examples=25)
 @given(st.integers(0, 2**32 - 1))
 def test_a_part_alone_shows_its_whole_silhouette_to_the_pixel(seed: int):
     """Also where the image truncates it: the share refers to a larger image."""

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from kit1000.errors import InputError
@@ -61,7 +61,6 @@ def triangle_distance(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
 
 
 @given(size=st.tuples(*[st.floats(2e-3, 25e-3)] * 3), world_from_box=poses(), rotation=poses())
-@settings(max_examples=25)
 def test_a_box_in_any_pose_has_its_closed_form(size: tuple[float, ...], world_from_box: Pose, rotation: Pose) -> None:
     grid = Grid.centred(Pose(rotation.wxyz, world_from_box.xyz + 1e-3), (32, 30, 28), 1e-3)
     values = signed_distance(grid, [(cuboid(*size), world_from_box)], truncation=4e-3).values

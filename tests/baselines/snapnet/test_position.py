@@ -183,6 +183,7 @@ def balls(config: PositionConfig, offsets: Tensor) -> tuple[Tensor, Tensor]:
     return volumes[0], volumes[1]
 
 
+@pytest.mark.slow
 def test_one_batch_is_memorised() -> None:
     config = PositionConfig(1e-3, (16, 16, 16), (32, 32, 32), (8, 8, 8), channels=(4, 8, 8, 8, 8), features=2)
     offsets = torch.tensor([[4.0, -2, 5], [-5, 3, 0], [1, 1, -6]])

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from manifold3d import Manifold
 
@@ -64,7 +64,6 @@ def eight(t: np.ndarray) -> np.ndarray:
 
 
 @given(st.sampled_from(sorted(SHAPES)), st.integers(0, 2**32 - 1))
-@settings(max_examples=40)
 def test_the_result_does_not_depend_on_the_order_in_the_file(name: str, seed: int) -> None:
     rng = np.random.default_rng(seed)
     indexed = mesh_from_solid(SHAPES[name])
@@ -80,7 +79,6 @@ def test_the_result_does_not_depend_on_the_order_in_the_file(name: str, seed: in
 
 
 @given(st.sampled_from(sorted(SHAPES)), st.integers(0, 2**32 - 1))
-@settings(max_examples=40)
 def test_faces_of_any_winding_become_outward(name: str, seed: int) -> None:
     mesh = mesh_from_solid(SHAPES[name])
     flip = np.random.default_rng(seed).random(len(mesh.faces)) < 0.5
@@ -89,7 +87,6 @@ def test_faces_of_any_winding_become_outward(name: str, seed: int) -> None:
 
 
 @given(st.sampled_from(sorted(SHAPES)), st.integers(0, 2**32 - 1))
-@settings(max_examples=40)
 def test_seams_of_rounding_noise_are_welded(name: str, seed: int) -> None:
     corners, faces = soup_of(SHAPES[name])
     noise = 1e-9 * np.random.default_rng(seed).uniform(-1, 1, corners.shape)
@@ -169,7 +166,6 @@ def test_a_klein_bottle_is_one_sided() -> None:
 
 
 @given(st.floats(-0.04, 0.04), st.floats(-0.02, 0.02), st.floats(-0.01, 0.01))
-@settings(max_examples=40)
 def test_bodies_are_united_when_they_overlap(x: float, y: float, z: float) -> None:
     shift = np.round([x, y, z], 3)
     overlap = float(np.prod(np.maximum([0.04, 0.02, 0.01] - np.abs(shift), 0)))
@@ -247,7 +243,6 @@ def test_many_faces_are_simplified_within_the_stated_distance() -> None:
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=60)
 def test_surfaces_cross_exactly_when_solids_overlap_without_containment(seed: int) -> None:
     """Two random tetrahedra, compared with exact booleans."""
     rng = np.random.default_rng(seed)
@@ -260,7 +255,6 @@ def test_surfaces_cross_exactly_when_solids_overlap_without_containment(seed: in
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=30)
 def test_distance_to_a_box_matches_its_closed_form(seed: int) -> None:
     points = np.random.default_rng(seed).uniform(-3, 3, (20, 3))
     outside = np.abs(points) - [1.0, 0.5, 0.25]

@@ -57,7 +57,7 @@ def evidence(image: LabelledDepth, *options: Any, **more: Any) -> FramedPart:
     return part
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(st.floats(-3.1, 3.1), st.floats(-0.2, 0.2), st.floats(-0.2, 0.2))
 def test_a_scene_turned_about_the_vertical_with_its_camera_gives_the_same_evidence(
     yaw: float, x: float, y: float
@@ -91,7 +91,7 @@ def test_what_a_neighbour_hides_is_unknown_and_a_table_without_return_is_free() 
     assert (np.abs(blind.codes.astype(int) - free.codes) > 2).mean() < 1e-3
 
 
-@settings(max_examples=5, deadline=None)
+@settings(max_examples=5)
 @given(st.floats(1.2, 2.5), st.floats(0.0, 0.02))
 def test_a_larger_scene_gives_the_same_evidence_at_its_scale(scale: float, table: float) -> None:
     image = image_of(Pose.identity())
@@ -146,7 +146,6 @@ def test_all_of_an_image_is_kept_where_the_grid_reaches_behind_the_camera() -> N
     assert (rows, columns) == (slice(0, CAMERA.height), slice(0, CAMERA.width))
 
 
-@settings(max_examples=20, deadline=None)
 @given(st.integers(1, 4), st.integers(1, 4), st.integers(1, 5), st.integers(0, 1000))
 def test_packing_keeps_each_cell_at_its_place(x: int, y: int, z: int, seed: int) -> None:
     volume = np.random.default_rng(seed).integers(-128, 128, (2 * x, 2 * y, z)).astype(np.int8)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from baselines.training.tasks.kit_completion import (
@@ -106,7 +106,6 @@ def test_a_known_relief_fills_the_volume_where_columns_have_no_floor() -> None:
     assert solids[1] < 0.4 * solids[0]
 
 
-@settings(max_examples=15, deadline=None)
 @given(st.floats(0, DEEPEST - 1), st.integers(0, 9))
 def test_sure_logits_give_their_depth(depth: float, seed: int) -> None:
     share = torch.clamp(depth - torch.arange(DEEPEST, dtype=torch.float32), 0, 1)
@@ -207,7 +206,6 @@ def test_fresh_kits_are_the_same_whoever_makes_them_and_change_one_plate_alone(k
         assert assembly.mesh.volume - changed.mesh.volume == pytest.approx(cut, abs=2e-9)
 
 
-@settings(max_examples=20, deadline=None)
 @given(factors=st.tuples(*(st.floats(*map(float, bounds)) for bounds in STRETCH)))
 def test_a_stretched_kit_is_printable_and_its_cavity_is_as_much_larger(kit: Kit, factors: tuple[float, ...]) -> None:
     changed = stretched(kit, np.array(factors))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import map_coordinates
 
@@ -58,7 +58,6 @@ def network(seed: int = 0) -> CompletionNet:
     return CompletionNet(SMALL)
 
 
-@settings(max_examples=15, deadline=None)
 @given(st.floats(-3, 3), st.floats(-5e-3, 5e-3), st.floats(-5e-3, 5e-3), st.integers(0, 99))
 def test_logits_are_interpolated_at_the_voxels_of_another_grid(yaw: float, x: float, y: float, seed: int) -> None:
     source = Grid.centred(Pose.from_rotvec((0, 0, yaw), (x, y, 0.004)), (14, 12, 10), VOXEL)
