@@ -67,6 +67,7 @@ NETWORKS = {
             "small": replace(CLIPPED, steps=4500, learning_rate=3e-3, seed=1),
             "pretraining": CLIPPED,
             "measured": replace(CLIPPED, steps=4000, batch=64, learning_rate=3e-3, seed=3),
+            "hard": replace(CLIPPED, steps=1500, batch=32, learning_rate=1e-3, seed=4, mixed_precision="off"),
         },
         weights={"restoration": "restoration-unmasked"},
     ),

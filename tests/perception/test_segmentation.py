@@ -12,10 +12,10 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.ndimage import label
+from scipy.ndimage import distance_transform_edt, label
 
 from baselines.catalog import all_methods, method_of, run_config
-from baselines.training.tasks.segmentation import CentresTask, centres_task
+from baselines.training.tasks.segmentation import CentresTask, centres_task, crop_places
 from kit1000.camera import Camera, look_at
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
@@ -270,6 +270,22 @@ def test_a_scene_of_another_size_looks_alike_from_a_distance_in_proportion(mini:
     table = bodies.view.depth > 0
     table &= ~bodies.kits & ~bodies.parts
     assert np.abs(one["restored"][table]).max() < 1.0
+
+
+def test_crops_show_what_is_mistaken() -> None:
+    low, high = box(0.0, -0.10, (0.03, 0.04, 0.02)), box(-0.036, -0.105, (0.04, 0.06, 0.045))
+    image = scene(KIT, low, high, box(0.12, -0.12, (0.05, 0.05, 0.003)))
+    ripple = image.labels == image.labels.max()
+    labels = np.where(ripple, 0, image.labels)
+    places = crop_places(labels, image.view)
+    assert not (places["table"] & ~ripple).any()
+    assert places["table"].sum() > 0.9 * ripple.sum()
+    away = np.array([distance_transform_edt(labels != FIRST_PART_LABEL + i) for i in range(2)])
+    assert places["touching"].any()
+    assert away.max(0)[places["touching"][0]].max() < 12
+    one = scene(KIT, low)
+    alone = crop_places(one.labels, one.view)
+    assert all(np.array_equal(alone[kind], alone["parts"]) for kind in ("touching", "table"))
 
 
 def test_the_truth_measures_zero(task: CentresTask) -> None:

@@ -8,28 +8,34 @@ from pathlib import Path
 import numpy as np
 import torch
 import torch.nn.functional as F
+from scipy.ndimage import binary_dilation, binary_opening
 from torch import Tensor
 
 from baselines.training.tasks.restoration import (
+    CROPS,
     FACTS,
     SENSOR,
     CropTask,
     Example,
     Recorded,
     ViewCrops,
-    crops_of,
+    box_about,
     fresh_image,
 )
 from kit1000.dataset.reader import Dataset
 from kit1000.perception.networks.unet import UNetConfig
+from kit1000.perception.restoration.disparity import cropped_inputs
 from kit1000.perception.restoration.restorer import Restorer
-from kit1000.perception.segmentation.instances import find_bodies
+from kit1000.perception.segmentation.instances import find_bodies, on_far_half, points_and_heights
 from kit1000.perception.segmentation.part_finder import OFFSET_UNIT, CentresNet, Votes, inputs_between
-from kit1000.values import FIRST_PART_LABEL, LabelledDepth, View
+from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, View
 
-KITS_SHARE = 0.05  # of the crops: about a pixel of the kits
+SHARES = {"parts": 0.45, "touching": 0.25, "table": 0.25, "kits": 0.05}
+"""Of the crops, by what their middle shows: a part, of whatever size; a place near two parts; a ripple of the table."""
+BESIDE = 8  # [px] from both of two parts that touch, at most; from all bodies to a ripple, at least
+RIPPLE, RIPPLE_REACH = 1.5e-3, 3  # [m] height and [px] half width of the ripples that look like parts, at least
 Batch = dict[str, Tensor]
-VIEWS = {"pretraining": (1500, 2030), "small": (2500, 2034), "measured": (30_000, 2050)}
+VIEWS = {"pretraining": (1500, 2030), "small": (2500, 2034), "measured": (30_000, 2050), "hard": (1500, 2060)}
 """Number and seed of the views by preset, each from the weights of the one before."""
 
 
@@ -42,10 +48,34 @@ class PartViews(ViewCrops):
     """Restorer of images without masks."""
 
     def crops(self, rng: np.random.Generator) -> list[Example]:
-        """About pixels of parts, and some of the kits."""
+        """About pixels of parts, of those near two parts, of the table where it looks like a part, and of the kits."""
         image, _ = fresh_image(self.dataset, rng)
-        whole = _example(image.labels, image.view, self.restorer.without_masks(image.view, FACTS))
-        return crops_of(whole, image.labels, KITS_SHARE, rng)
+        restored = self.restorer.without_masks(image.view, FACTS)
+        whole = _example(image.labels, image.view, restored)
+        places = crop_places(image.labels, restored)
+        kinds = rng.choice(list(SHARES), CROPS, p=list(SHARES.values()))
+        return [cropped_inputs(whole, box_about(*_drawn(places[kind], rng))) for kind in kinds]
+
+
+def crop_places(labels: np.ndarray, restored: View) -> dict[str, np.ndarray]:
+    """By kind of SHARES the masks (n, H, W) bool from which the middles of crops are drawn; those of the parts where
+    nothing is of that kind. labels: (H, W) the true masks of the restored view."""
+    parts = np.array([labels == number for number in np.unique(labels) if number >= FIRST_PART_LABEL])
+    near = np.array([binary_dilation(part, iterations=BESIDE) for part in parts])
+    touching = near.sum(0) > 1
+    points, heights = points_and_heights(restored)
+    table = ~np.asarray(binary_dilation(labels > 0, iterations=BESIDE), bool) & ~on_far_half(points)
+    ripple = binary_opening(table & (heights > RIPPLE), iterations=RIPPLE_REACH)
+    masks = {"parts": parts, "touching": touching[None], "table": ripple[None], "kits": labels[None] == ASSEMBLY_LABEL}
+    return {kind: mask if mask.any() else parts for kind, mask in masks.items()}
+
+
+def _drawn(masks: np.ndarray, rng: np.random.Generator) -> tuple[int, int]:
+    """Row and column of a random pixel of a random mask."""
+    masks = masks[masks.any((1, 2))]
+    rows, columns = np.nonzero(masks[int(rng.integers(len(masks)))])
+    at = int(rng.integers(len(rows)))
+    return int(rows[at]), int(columns[at])
 
 
 def recorded_example(image: LabelledDepth, restorer: Restorer) -> Example:
