@@ -28,7 +28,8 @@ python -m baselines train segmentation --preset measured --data "$data" --out ru
 python -m baselines ship runs/segmentation-third --commit "$commit" --precision float16
 
 # Fourth run: 1500 steps on 1500 other views, from the weights of the third. Before it crops were about random pixels of
-# parts, but for one in twenty; since then they show more of what is mistaken (`SHARES`).
+# parts, but for one in twenty; since then they show more of what is mistaken (`SHARES`). The released weights are those
+# of step 500: later ones tell the crops of the run better, but not those of other scenes.
 python -m baselines train segmentation --preset hard --data "$data" --out runs/segmentation-fourth \
     --start "$weights/segmentation.safetensors"
 python -m baselines ship runs/segmentation-fourth --commit "$commit" --precision float16
