@@ -22,7 +22,7 @@ from kit1000.perception.sensor_facts import SensorFacts
 from kit1000.values import ASSEMBLY_LABEL, View
 
 AGREED = 0.5  # least IoU of a body and what the network sees of it; least share of a body that lies in one instance
-LOW_PIXELS, LOW_LOGIT = 150, 1.0  # least size [px] and mean logit of an instance that no body covers
+LOW_PIXELS, LOW_LOGIT = 250, 1.5  # least size [px] and mean logit of an instance that no body covers
 LOW_COVERED = 0.3  # share of such an instance that bodies cover, at most
 LOW_STEP, RING = 1.5e-3, (5, 14)  # [m] by which it is higher than the table about it, [px] how far away that is
 LEAST_PART = 150  # [px] of an instance
