@@ -33,7 +33,7 @@ def command(name: str, data: Path, out: Path, steps: int) -> list[str]:
 
 @pytest.mark.parametrize("name", NETWORKS)
 def test_every_network_has_a_task_and_a_training_for_two_cores(name: str) -> None:
-    presets = {"small", "paper", "pretraining", "pretraining-2", "measured"}
+    presets = {"small", "paper", "pretraining", "pretraining-2", "measured", "hard"}
     assert {"small"} <= set(NETWORKS[name].training) <= presets
     assert callable(resolved(NETWORKS[name].make_task))
 
