@@ -57,10 +57,10 @@ def tiny(folder: Path, kit1000: Command) -> Path:
 @pytest.mark.slow
 @pytest.mark.usefixtures("tiny")
 def test_the_wheel_predicts_by_networks_and_lets_the_robot_run(kit1000: Command) -> None:
-    predict = ("predict", "registration-completed", "--data", "tiny", "--limit", "1")
-    assert "(snap)" in kit1000(*predict, "--tracks", "snap", "--out", "mine").stdout
-    assert "0 errors" in kit1000("check", "mine", "--data", "tiny").stdout
-    found = kit1000(*predict, "--tracks", "snap-d415", "--masks", "predicted", "--out", "found")
+    predict = ("predict", "registration-completed", "--data", "tiny", "--tracks")
+    assert "predictions of registration-completed (snap)" in kit1000(*predict, "snap", "--out", "mine").stdout
+    assert "no faults" in kit1000("check", "mine", "--data", "tiny").stdout
+    found = kit1000(*predict, "snap-d415", "--masks", "predicted", "--limit", "1", "--out", "found")
     assert "1 predictions" in found.stdout
     assert " seated" in kit1000("run", "tiny", "--predictions", "mine", "--scene", "test-s0000").stdout
 

@@ -82,7 +82,7 @@ def assert_keeps_clearance(solid: Manifold, cavity: Cavity, clearance: float, z:
     assert (shadow - opening).area() < AREA_TOLERANCE
 
 
-@pytest.mark.parametrize("clearance_mm", [0.5, 2.5, 10.0])
+@pytest.mark.parametrize("clearance_mm", [0.5, 1.0, 2.5, 10.0])
 @pytest.mark.parametrize("name", SHAPES)
 def test_walls_keep_the_clearance_at_every_height(name: str, clearance_mm: float, cut: Cut) -> None:
     solid, cavity = cut(name, clearance_mm)

@@ -112,8 +112,8 @@ def test_a_wrong_shape_is_in_doubt() -> None:
     assert np.linalg.norm(error_of(scene, result, KITS).xyz) < 1.5e-3
 
 
-def test_sizes_tell_the_depth_scale_of_a_sharp_image() -> None:
-    scale = 0.997
+@pytest.mark.parametrize("scale", [0.997, 1.003])
+def test_sizes_tell_the_depth_scale_of_a_sharp_image(scale: float) -> None:
     scene = sample_scene(noise=0.3e-3, scale=scale)
     result = registered(scene)
     assert result.scale == pytest.approx(scale, abs=3 * result.scale_spread)

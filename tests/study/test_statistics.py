@@ -80,16 +80,16 @@ def test_holm_keeps_the_order_and_lies_between_p_and_bonferroni(values: list[flo
 
 
 def test_a_planted_effect_is_found_and_a_null_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
-    """d_z = 1 and n = 10 have a power of 80.3 %; 40 studies have standard errors of 6.3 and 3.4 points."""
+    """d_z = 1 and n = 10 have a power of 80.3 %; 60 studies have standard errors of 5.1 and 2.8 points."""
     for name in ("RESAMPLES", "EXACT"):  # of the intervals, and of the signs where Wilcoxon counts
         monkeypatch.setattr(statistics, name, 100)
 
     def share_found(effect: float, seed: int) -> float:
         rng = np.random.default_rng(seed)
-        return float(np.mean([compare(rng.normal(effect, 1, 10)).p < 0.05 for _ in range(40)]))
+        return float(np.mean([compare(rng.normal(effect, 1, 10)).p < 0.05 for _ in range(60)]))
 
-    assert 0.80 - 0.19 < share_found(1.0, 1) < 0.80 + 0.19
-    assert share_found(0.0, 2) < 0.05 + 0.102
+    assert 0.80 - 0.15 < share_found(1.0, 1) < 0.80 + 0.15
+    assert share_found(0.0, 2) < 0.05 + 0.084
 
 
 @pytest.mark.parametrize("values", [[1.0, 2.0], [1.0, np.nan, 2.0], [[1.0, 2.0, 3.0]], ["a", "b", "c"]])

@@ -148,7 +148,12 @@ def body_pixel(labels: np.ndarray, kits_share: float, rng: np.random.Generator) 
     """Row and column of a random pixel of the kits, or of a part."""
     kits = rng.random() < kits_share
     there = labels == ASSEMBLY_LABEL if kits else labels >= FIRST_PART_LABEL
-    rows, columns = np.nonzero(there if there.any() else labels > 0)
+    return drawn_pixel(there if there.any() else labels > 0, rng)
+
+
+def drawn_pixel(mask: np.ndarray, rng: np.random.Generator) -> tuple[int, int]:
+    """Row and column of a random pixel of a mask (H, W) bool, which has one."""
+    rows, columns = np.nonzero(mask)
     at = int(rng.integers(len(rows)))
     return int(rows[at]), int(columns[at])
 

@@ -20,6 +20,7 @@ from baselines.training.tasks.restoration import (
     Recorded,
     ViewCrops,
     box_about,
+    drawn_pixel,
     fresh_image,
 )
 from kit1000.dataset.reader import Dataset
@@ -54,7 +55,8 @@ class PartViews(ViewCrops):
         whole = _example(image.labels, image.view, restored)
         places = crop_places(image.labels, restored)
         kinds = rng.choice(list(SHARES), CROPS, p=list(SHARES.values()))
-        return [cropped_inputs(whole, box_about(*_drawn(places[kind], rng))) for kind in kinds]
+        masks = (places[kind][int(rng.integers(len(places[kind])))] for kind in kinds)
+        return [cropped_inputs(whole, box_about(*drawn_pixel(mask, rng))) for mask in masks]
 
 
 def crop_places(labels: np.ndarray, restored: View) -> dict[str, np.ndarray]:
@@ -68,14 +70,6 @@ def crop_places(labels: np.ndarray, restored: View) -> dict[str, np.ndarray]:
     ripple = binary_opening(table & (heights > RIPPLE), iterations=RIPPLE_REACH)
     masks = {"parts": parts, "touching": touching[None], "table": ripple[None], "kits": labels[None] == ASSEMBLY_LABEL}
     return {kind: mask if mask.any() else parts for kind, mask in masks.items()}
-
-
-def _drawn(masks: np.ndarray, rng: np.random.Generator) -> tuple[int, int]:
-    """Row and column of a random pixel of a random mask."""
-    masks = masks[masks.any((1, 2))]
-    rows, columns = np.nonzero(masks[int(rng.integers(len(masks)))])
-    at = int(rng.integers(len(rows)))
-    return int(rows[at]), int(columns[at])
 
 
 def recorded_example(image: LabelledDepth, restorer: Restorer) -> Example:
