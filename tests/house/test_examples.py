@@ -130,6 +130,16 @@ def test_the_code_of_the_readme_runs(tiny: Path) -> None:
     check_predictor(names["predict"], Dataset("tiny").split("val").queries("snap"))
 
 
+@pytest.mark.parametrize("name", ["calibration", "completion", "restoration", "segmentation"])
+def test_the_code_of_methods_runs(name: str, tiny: Path) -> None:
+    track = "snap" if name == "completion" else "snap-d415"
+    names: dict[str, Any] = {"query": next(Dataset("tiny").split("val").queries(track))}
+    shown = blocks(f"docs/methods/{name}.md")
+    assert shown
+    for block in shown:
+        exec(block, names)
+
+
 def blocks(page: str) -> list[str]:
     """The Python blocks of a page that need a dataset."""
     return re.findall(r"^```py\n(.*?)^```", (ROOT / page).read_text(encoding="utf-8"), re.M | re.S)
