@@ -49,7 +49,6 @@ ERRORS = (
     Column("position_90", "mm, 90 %", 2),
     Column("rotation", "°, median", 2),
     Column("relative", "mm to the kits, median", 2),
-    Column("surface", "mm of the surface, largest", 2),
 )
 SURE = (
     Column("what", "body"),
@@ -249,7 +248,6 @@ def add_tables(measurement: Measurement, rows: Sequence[Row], setting: str) -> N
             position_90=np.quantile(position, 0.9),
             rotation=np.median([r["rotation"] for r in own]),
             relative=np.median([r["relative"] for r in own]) if what == "part" else None,
-            surface=surface.max(),
         )
         worst = np.maximum(position, surface)[passed].max() if passed.any() else None
         sure.add(
