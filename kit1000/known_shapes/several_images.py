@@ -171,8 +171,10 @@ def _rotated(pose: Pose, other: Pose, mesh: Mesh) -> Pose:
 def agreed_motions(images: Sequence[Sequence[PredictedMotion]], middle: np.ndarray) -> list[PredictedMotion]:
     """The motions by several images of a part whose middle is at (3,) [m]; the best are near one of every image.
 
-    Each is the mean of the motions that images have near it, and fails if all of these do.
+    Each is the mean of the motions that images have near it, and fails if all of these do. An image without motions, in
+    which the part fits no cavity, says nothing.
     """
+    images = [image for image in images if image]
     if len(images) < 2:
         return [motion for image in images for motion in image]
     found: list[PredictedMotion] = []

@@ -95,3 +95,12 @@ def test_one_image_is_its_own_word() -> None:
     image = [PredictedMotion(Pose.identity(), 0.3), PredictedMotion(Pose.from_translation((0.1, 0.0, 0.0)), 0.2)]
     assert agreed_motions([image], np.zeros(3)) == image
     assert agreed_motions([], np.zeros(3)) == []
+
+
+def test_an_image_without_motions_says_nothing() -> None:
+    images = [[PredictedMotion(Pose.identity(), confidence)] for confidence in (0.3, 0.4)]
+    for place in range(3):
+        motions = agreed_motions([*images[:place], [], *images[place:]], np.zeros(3))
+        assert [motion.confidence for motion in motions] == [0.58, 0.58]
+    assert agreed_motions([[], images[0]], np.zeros(3)) == images[0]
+    assert agreed_motions([[], []], np.zeros(3)) == []
