@@ -106,13 +106,17 @@ def score_table(name: str, entries: Sequence[Entry], words: Sequence[str]) -> Ta
 
 
 def share_table(name: str, entries: Sequence[Entry], words: Sequence[str]) -> Table:
-    """The table `name` of SHARES: a row for each entry on any of its tracks, those with given masks last."""
+    """The table `name` of SHARES: a row for each entry on any of its tracks, those with given masks last.
+
+    Tracks without a row are left out.
+    """
     title, tracks, knows_shapes = SHARES[name]
     with_masks = [] if tracks is IDEAL else [MASKS]
-    shown = [Column(track, f"`{track}`", 1, True) for track in tracks]
-    table = Table(name, f"{title}, in percent, by track", [*NAMES, *with_masks, *shown])
-    masks = {entry.name: next(filter(None, map(entry.masks, tracks)), "") for entry in entries}
     those = [entry for entry in chosen(entries, words) if entry.knows_shapes == knows_shapes]
+    masks = {entry.name: next(filter(None, map(entry.masks, tracks)), "") for entry in those}
+    scored_tracks = [track for track in tracks if any(track in entry.scores["tracks"] for entry in those)]
+    shown = [Column(track, f"`{track}`", 1, True) for track in scored_tracks]
+    table = Table(name, f"{title}, in percent, by track", [*NAMES, *with_masks, *shown])
     for entry in sorted(those, key=lambda entry: masks[entry.name] == ABLATION):
         scored = entry.scores["tracks"]
         shares = {track: scored[track][SEATED.key] for track in tracks if track in scored}
