@@ -41,6 +41,8 @@ MUJOCO = mujoco==4.0.0 # outside the lock, in an environment of its own
 LOCK = $(BIN)/uv pip compile pyproject.toml --group pyproject.toml:build --universal --python-version 3.10 \
        --generate-hashes --quiet $(if $(UPGRADE),--upgrade) --custom-compile-command "make lock"
 
+unexport PYTHONDONTWRITEBYTECODE # else each process compiles its libraries anew, for up to 4 s
+
 .DEFAULT_GOAL = help
 .DELETE_ON_ERROR:
 .PHONY: help install browser dataset test test-slow check lint site wheel results table1 table2 bench portable mutants mujoco pictures lock clean
